@@ -64,7 +64,7 @@ def changes(kind):
         st.builds(SetBox, st.sampled_from([1.01, 1.02])),
         st.builds(SetParameter, st.just("pull"), st.sampled_from([3.0, -2.0])),
         st.builds(UpdateParameters, st.sampled_from([0.2, -0.3])),
-        st.builds(HardenBonds, st.sampled_from([2.0, 0.5])),
+        st.builds(HardenBonds, st.sampled_from([2.0, 30.0])),
         st.builds(Minimize, st.integers(1, 3)),
         st.just(ApplyConstraints()),
         st.just(ApplyVelocityConstraints()),
