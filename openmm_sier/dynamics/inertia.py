@@ -61,11 +61,12 @@ class Inertia:
 
     @cached_property
     def rotation_moments(self) -> np.ndarray:
-        """Moments of the free rotation, (3, n), dalton nm^2: the principal ones, or three equal ones with bearings.
+        """Moments with which bodies turn freely, (3, n), dalton nm^2.
 
-        A body that turns about one axis has all of its angular momentum along this axis. With three equal moments it
-        turns about the axis uniformly, as it should, and rounding errors do not grow. So does a body that turns about
-        two axes with equal moments, as a line does.
+        They are the principal ones without bearings, and three equal ones with them. A body that turns about one axis
+        has all of its angular momentum along this axis. With three equal moments it turns about the axis uniformly, as
+        it should, and rounding errors do not grow. So does a body that turns about two axes with equal moments, as a
+        line does.
         """
         turns_freely = (self.turns == (self.moments > 0)).all(axis=0)
         if turns_freely.all():

@@ -12,8 +12,10 @@ def translational_friction(kind: BodyType, diffusion: Quantity, temperature: Qua
     """Return the friction with which a bath gives bodies of a type a diffusion constant, kT/(m D).
 
     >>> rod = BodyType("rod", [[-0.2, 0, 0], [0, 0, 0], [0.2, 0, 0]], [12, 16, 12])
-    >>> translational_friction(rod, (0.0025, 0.00125, 0.00125), 300*kelvin)
-    Quantity(value=(24.943385, 49.88677, 49.88677), unit=/picosecond)
+    >>> friction = translational_friction(rod, (0.0025, 0.00125, 0.00125), 300*kelvin)
+    >>> print(*(rate.format("%.2f") for rate in friction))
+    24.94 /ps 49.89 /ps 49.89 /ps
+    >>> integrator = SIERLangevinIntegrator(300*kelvin, {"rod": friction}, 4*femtoseconds)
 
     It is that of a body which no other one touches. Steps of h make diffusion faster by (gamma h/2) coth(gamma h/2).
 
@@ -37,6 +39,10 @@ def translational_friction(kind: BodyType, diffusion: Quantity, temperature: Qua
 
 def rotational_friction(kind: BodyType, diffusion: Quantity, temperature: Quantity) -> unit.Quantity:
     """Return the friction with which a bath gives bodies of a type a rotational diffusion constant, kT/(I D).
+
+    >>> rod = BodyType("rod", [[-0.2, 0, 0], [0, 0, 0], [0.2, 0, 0]], [12, 16, 12])
+    >>> print(*(rate.format("%.2f") for rate in rotational_friction(rod, 0.1, 300*kelvin)))
+    0.00 /ps 25.98 /ps 25.98 /ps
 
     See `translational_friction`, also for errors.
 
