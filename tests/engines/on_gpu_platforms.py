@@ -198,7 +198,7 @@ def test_trials_sample_exactly(gpu):
 
 def test_ends_with_broken_constraints_are_rejected(gpu, monkeypatch):
     monkeypatch.setattr(metropolis, "largest_error", lambda *_: 1e15)
-    integrator = seeded(SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0), 5)
+    integrator = seeded(SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0, engine="native"), 5)
     context = gpu_context(gpu, "mixed", spinning.system(), integrator, (spinning.POSITIONS, 0 * spinning.POSITIONS))
     assert integrator.impl.engine.makes_trials
     assert 3 < spinning.rejected(context, 60) < 50

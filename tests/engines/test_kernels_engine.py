@@ -3,12 +3,12 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import openmm
 import pytest
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.engines.compiled import plugin
 from tests.support import kernels, opencl
 from tests.support.systems import assembled
 
@@ -26,12 +26,10 @@ def test_without_the_package_it_says_how_to_install_it(monkeypatch):
 
 
 def test_a_platform_without_kernels_is_refused(monkeypatch):
-    class Package:
-        @staticmethod
-        def library(name):
-            raise openmm.OpenMMException(f"not for the {name} platform")
+    def library(name):
+        raise openmm.OpenMMException(f"not for the {name} platform")
 
-    monkeypatch.setattr(plugin.importlib, "import_module", lambda name: Package)
+    monkeypatch.setitem(sys.modules, "openmm_sier_kernels", SimpleNamespace(library=library))
     integrator = SIERIntegrator(0.004, engine="kernels")
     with pytest.raises(openmm.OpenMMException, match="not for the Reference platform"):
         openmm.Context(assembled([1.0]), integrator, openmm.Platform.getPlatformByName("Reference"))

@@ -130,14 +130,9 @@ def _acts_between_steps(system: openmm.System) -> bool:
 
 
 def install(
-    step: CompiledStep, integrator: openmm.CustomIntegrator, platform: openmm.Platform, method: IntegrationMethod
+    step: CompiledStep, integrator: openmm.CustomIntegrator, library: Any, method: IntegrationMethod
 ) -> InstalledStep:
-    """Give an integrator a step that the Context which is made next executes.
-
-    Raises:
-        openmm.OpenMMException: there is no library for the platform.
-    """
-    library = library_of(platform)
+    """Give an integrator a step, which a library executes in the Context that is made next."""
     address = address_of(integrator)
     number = library.assign(address, step.program)
     library.set_scalars(address, method.step, step.scalars.values(method))
@@ -168,8 +163,9 @@ def installed(
         openmm.OpenMMException: kernels cannot do what was asked for.
     """
     try:
+        library = library_of(platform)
         step = compiled_step(method, system, bodies, integrator.getIntegrationForceGroups())
-        return install(step, integrator, platform, method)
+        return install(step, integrator, library, method)
     except openmm.OpenMMException:
         if is_asked_for:
             raise

@@ -168,16 +168,14 @@ DEVICE void placeBody(Body* body, int4 record, POSITIONS, BODY_TABLES) {
     }
 }
 
-// Write positions and velocities of the atoms of a body.
-DEVICE void writeBody(Body* body, int4 record, POSITIONS, GLOBAL mixed4* RESTRICT velm, BODY_TABLES) {
+// Write the velocities of the atoms of a body.
+DEVICE void moveBody(Body* body, int4 record, GLOBAL mixed4* RESTRICT velm, BODY_TABLES) {
     const mixed4 inverse = kinds[6*record.w];
     const mixed3 velocity = inverse.w*body->p;
     const mixed3 spin = combine(times(trim(inverse), inBody(body->L, body->e)), body->e);
     for (int k = LANE; k < record.y; k += LANES) {
-        const int i = bodyAtoms[record.x + k];
         const mixed3 arm = combine(trim(sites[record.z + k]), body->e);
-        putPosition(THE_POSITIONS, i, body->q + arm);
-        putVelocity(velm, i, velocity + cross(spin, arm));
+        putVelocity(velm, bodyAtoms[record.x + k], velocity + cross(spin, arm));
     }
 }
 

@@ -141,7 +141,10 @@ class Bodies(Mover):
     def end(self, calls: Sequence[Call]) -> list[str]:
         if calls[-1].kind == DISPLACE or all(call.kind in (COUNT_BEFORE, COUNT_AFTER) for call in calls):
             return []
-        return ["writeBody(&body, record, THE_POSITIONS, velm, THE_BODY_TABLES);"]
+        lines = ["moveBody(&body, record, velm, THE_BODY_TABLES);"]
+        if any(call.moves for call in calls):
+            lines.append("placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);")
+        return lines
 
     def call(self, call: Call, noise: int) -> list[str]:
         scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
@@ -155,7 +158,7 @@ class Bodies(Mover):
         if call.kind == DISPLACE:
             # Velocities are those about the axes before.
             return [
-                "writeBody(&body, record, THE_POSITIONS, velm, THE_BODY_TABLES);",
+                "moveBody(&body, record, velm, THE_BODY_TABLES);",
                 "keepPositions(record, THE_POSITIONS, kept, bodyAtoms);",
                 f"displaceBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);",
                 "placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);",
