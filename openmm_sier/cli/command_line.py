@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -18,6 +17,7 @@ from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
+from openmm_sier.version import __version__
 
 EXIT_CODES = """Exit codes:
 
@@ -54,7 +54,7 @@ def _in_words(default: str, of: str, **limits: Any) -> Parameter:
 app = App(
     name=PROGRAM,
     help="Simulate rigid molecules with OpenMM, with exact rotation.",
-    version=f"{PROGRAM} {version(PROGRAM)}",
+    version=f"{PROGRAM} {__version__}",
     help_format="markdown",
     result_action="return_value",
     # The last value of an option counts. Helps have defaults in words.

@@ -209,4 +209,5 @@ def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypat
 
 def test_pages_with_code_are_found():
     """README, the guides and all how-tos, so that a changed layout cannot leave them out."""
-    assert [page for page in PAGES if not code(page)] == ["docs/guide/howto/index.md"]
+    without = [page for page in PAGES if not code(page) and "literalinclude" not in (ROOT / page).read_text()]
+    assert without == ["docs/guide/howto/index.md"]

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.engines.compiled import rotation
 from openmm_sier.engines.compiled.body_tables import BodyTables
 from openmm_sier.engines.compiled.movers import MAKE_RIGID, MOST_IN_CLUSTER, PROJECT, Call, Clusters, Mover
 from openmm_sier.engines.compiled.step_program import (
@@ -258,6 +257,9 @@ def _text(name: str) -> str:
 
 def _source(team: int, texts: Iterable[str], n_particles: int) -> str:
     """Return kernels with what they have in common."""
+    # Its formulas bring Numba, which takes long to import.
+    from openmm_sier.engines.compiled import rotation
+
     head, marker, rest = _text("motion.cc").partition("// --- formulas ---\n")
     constants = {
         "LANES": max(1, team),
