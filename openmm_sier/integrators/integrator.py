@@ -96,6 +96,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     # --- what users ask ---
 
+    def __repr__(self) -> str:
+        """Return the scheme, its step and the engine: `print(integrator)`."""
+        step = 1000 * self.impl.settings.step
+        return f"<{type(self).__name__}: {self.scheme.name} in steps of {step:g} fs, engine {self.engine}>"
+
     @property
     def engine(self) -> str:
         """Return the name of the engine in use; before a Context is created, the one that was requested."""

@@ -186,3 +186,11 @@ def test_a_scheme_may_be_given_by_its_name(make):
         make("verlet")
     with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or its name, as in SIERIntegrator.*, got 4"):
         make(4)
+
+
+def test_print_has_scheme_step_and_engine(cluster):
+    _, system, point = cluster
+    integrator = SIERLangevinIntegrator(300, 5, 0.009)
+    assert str(integrator) == "<SIERLangevinIntegrator: SIER2 in steps of 9 fs, engine auto>"
+    _context = context_at(system, integrator, point)
+    assert str(integrator) == "<SIERLangevinIntegrator: SIER2 in steps of 9 fs, engine exact>"
