@@ -162,6 +162,8 @@ class Session:
                     # A handler may have made the Context again.
                     engine = self.engine
             finally:
+                # Again, for an error that came before this was done above.
+                self.is_between_steps = False
                 self._stepping.release()
         finally:
             interrupts.release(handlers)

@@ -109,7 +109,8 @@ class ContextReader(PointVerbs):
         point = self._reader.point(now, stored, last, change)
         if point is not stored:
             self._stored.is_outdated = True
-        return point
+        # Atoms of no body act on the bodies too, and may have been moved.
+        return replace(point) if change is AtomChange.POSITIONS else point
 
     def _take_environment(self, now: Snapshot) -> None:
         """Take over box and parameters of a Context where they differ."""
