@@ -88,8 +88,8 @@ class Inertia:
     def kinetic_energies_by_axis(self, state: BodyState) -> np.ndarray:
         """Return kinetic energies of each body along and about its principal axes, (2, 3, n), kJ/mol.
 
-        The first are of translation, the second of rotation. In equilibrium each has the mean kT/2, but for rotations
-        about axes without a moment.
+        The first are of translation, the second of rotation. In equilibrium each of a body that moves freely has the
+        mean kT/2, but for rotations about axes without a moment.
         """
         along = body_frame(state.A, state.p) ** 2 * self.inverse_masses
         about = body_frame(state.A, state.L) ** 2 * self.inverse_moments

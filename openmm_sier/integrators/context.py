@@ -53,6 +53,7 @@ class SIERContext(openmm.Context):
 
     def reinitialize(self, preserveState: bool = False) -> None:
         store(self.impl)
+        self.impl.renew_compiled_step(self)
         super().reinitialize(preserveState)
         with tables.read_once():
             self.impl.bind(self, keeps_tally=preserveState)

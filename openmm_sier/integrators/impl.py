@@ -216,6 +216,7 @@ class IntegratorImpl:
         """Give the integrator the program that costs least in a System on a platform."""
         integrator, requested = self.integrator, self.settings.engine
         # There is one already where a Context could not be created.
+        self._forget_compiled_step()
         installation.uninstall(integrator)
         platform = platform or usual_platform()
         on_gpu = not is_on_host(platform)
@@ -233,12 +234,35 @@ class IntegratorImpl:
         self._computations = integrator.getNumComputations()
         if self.has_hidden_kinetic_energy:
             report_hidden_kinetic_energy(integrator)
-        self._installed = None
-        if requested == KernelsEngine.name or (requested == "auto" and on_gpu):
-            is_asked_for = requested != "auto"
-            bodies = self.settings.bodies
-            self._installed = installed(is_asked_for, self._whole_method(), system, bodies, integrator, platform)
+        self._installed = self._compiled_step(system, platform)
         self.change()
+
+    def _compiled_step(self, system: openmm.System, platform: openmm.Platform) -> InstalledStep | None:
+        """Give the integrator a step of the kernels engine for a System, and return it; None without one."""
+        requested = self.settings.engine
+        if requested != KernelsEngine.name and (requested != "auto" or is_on_host(platform)):
+            return None
+        is_asked_for = requested != "auto"
+        bodies = self.settings.bodies
+        return installed(is_asked_for, self._whole_method(), system, bodies, self.integrator, platform)
+
+    def _forget_compiled_step(self) -> None:
+        """Take the step of the kernels engine back."""
+        if self._installed is not None:
+            self._installed.take_back()
+            self._installed = None
+
+    def renew_compiled_step(self, context: openmm.Context) -> None:
+        """Write the step of the kernels engine for a Context that is about to be reinitialized, if that has one.
+
+        Raises:
+            openmm.OpenMMException: kernels cannot move the System any more, and were asked for.
+        """
+        if self._installed is None:
+            return
+        renewed = self._compiled_step(context.getSystem(), context.getPlatform())
+        self._forget_compiled_step()
+        self._installed = renewed
 
     def bind(self, context: openmm.Context, keeps_tally: bool = True) -> None:
         """Choose and make the engine of a Context that was created or reinitialized with the integrator.
@@ -259,6 +283,8 @@ class IntegratorImpl:
         self.session.bind(context)
         bodies, requested = self.settings.bodies, self.settings.engine
         engine = make_engine(requested, context, self.method(), tally, bodies, self.program, self._installed)
+        if engine.name != KernelsEngine.name:
+            self._forget_compiled_step()
         self.ensemble.check(system, engine)
         self.session.take(engine, system)
         # A Context that was reinitialized with its state keeps its seed.

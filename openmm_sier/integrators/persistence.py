@@ -78,8 +78,8 @@ def _warn_about_noise(impl: IntegratorImpl) -> bool:
     if not (engine.makes_trials or BATH in impl.method().scheme.operators):
         return False
     warn(
-        "With the native engine a State does not hold the noise of Langevin dynamics and of trials, which is OpenMM's: "
-        "the run continues in the same ensemble, but on another trajectory. To continue the same trajectory, load a "
-        "checkpoint"
+        f"With the {engine.name} engine a State does not hold the noise of Langevin dynamics and of trials, which is "
+        "OpenMM's: the run continues in the same ensemble, but on another trajectory. To continue the same trajectory, "
+        "load a checkpoint"
     )
     return True

@@ -150,7 +150,7 @@ def _find_step(context: openmm.Context, first: float, time: float, wanted: float
             break
         step = following
     else:
-        found = min(tried, key=lambda each: abs(each.acceptance - wanted)).step
+        found = None
     usable = [each for each in tried if math.isfinite(each.spread)]
     if not usable:
         message = (
@@ -158,6 +158,8 @@ def _find_step(context: openmm.Context, first: float, time: float, wanted: float
             "minimize the energy first"
         )
         raise refusal or openmm.OpenMMException(message)
+    if found is None:
+        found = min(usable, key=lambda each: abs(each.acceptance - wanted)).step
     nearest = min(usable, key=lambda each: abs(each.step - found))
     expected = acceptance_at(nearest.spread * (found / nearest.step) ** order)
     return Tuning(found, _steps(time, found), expected, tuple(tried))

@@ -21,8 +21,8 @@ def translational_friction(kind: BodyType, diffusion: Quantity, temperature: Qua
 
     Args:
         kind: the type.
-        diffusion: one number, or three along the principal axes of the body, by ascending moments, which are above zero
-            along axes along which it moves; a quantity or numbers in nm^2/ps.
+        diffusion: one number, or three along the principal axes of the body, by ascending moments, all above zero; a
+            quantity or numbers in nm^2/ps.
         temperature: of the bath, a quantity or a number in K.
 
     Returns:
@@ -62,7 +62,7 @@ def rotational_friction(kind: BodyType, diffusion: Quantity, temperature: Quanti
 def _friction(diffusion: tuple[float, float, float], inertia: np.ndarray, temperature: Quantity) -> unit.Quantity:
     """Return kT/(inertia D) along or about three axes; 0 for those without inertia."""
     if not min(diffusion) > 0:
-        raise ValueError(f"diffusion must be above zero, since no friction stops a body, got {diffusion}")
+        raise ValueError(f"diffusion must be above zero: zero would need an infinite friction, got {diffusion}")
     thermal = GAS_CONSTANT * quantity_to_float("temperature", temperature, unit.kelvin, "K")
     if not thermal > 0:
         raise ValueError(f"temperature must be above zero, got {temperature}")

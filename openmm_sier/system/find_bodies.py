@@ -125,9 +125,9 @@ class RigidBodies(dynamics.BodySet):
             topology: the topology, for residue names in messages.
 
         Raises:
-            RigidityError: the positions do not fit a type, as the message says by how much; a body that is to turn in
-                the plane is inclined to it; a constraint joins a body
-                to another particle, or has another length than in the type; or see `from_system`.
+            RigidityError: the positions do not fit a type, as the message says by how much; the last axis of a body
+                with `Motion.IN_PLANE` is not along z; a constraint joins a body to another particle, or has another
+                length than in the type; or see `from_system`.
             ValueError: a list does not have a particle for each site, a particle is in two lists or has another mass
                 than its site, two types have one name, or positions have the wrong shape.
             TypeError: `types` is no mapping from types to lists of particle indices.

@@ -80,10 +80,10 @@ class MomentumConservation:
     A CMMotionRemover keeps the total momentum at zero, even with a Langevin bath: the heat of the centre of mass
     between two removals is left out too. Otherwise the total momentum is conserved unless one of these changes it: a
     heat bath of independent kicks (an integrator with nonzero friction, an AndersenThermostat), a CustomExternalForce,
-    an expression of absolute coordinates in a custom force, or fixed particles that act on others, among them bodies
-    that do not move along an axis along which others do. Monte Carlo
-    barostats do not change momenta. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the
-    temperature relative to the centre of mass has the right mean in either case.
+    an expression of absolute coordinates in a custom force, or fixed particles that act on others. Bodies that do not
+    move along an axis along which others do are fixed in this sense. Monte Carlo barostats do not change momenta.
+    Forces that cannot be inspected (PythonForce, plugins) count as interactions: the temperature relative to the centre
+    of mass has the right mean in either case.
 
     Attributes:
         removed: whether there is a CMMotionRemover.

@@ -94,6 +94,22 @@ def test_fast_forces_and_constraints_of_one_atom():
         assert abs(bond @ speed) < 1e-12
 
 
+def test_a_context_that_is_made_again_follows_its_system_as_it_is_then():
+    """A barostat that was added; at 10^5 bar every move to a smaller box is accepted."""
+    _, system, point = settled("box-59", *periodic_system())
+    integrator = seeded(SIERLangevinIntegrator(300, 1, 0.002, engine="kernels"), 3)
+    context = context_on(system, integrator, point)
+    integrator.step(2)
+    volume = context.getState().getPeriodicBoxVolume()._value
+    system.addForce(openmm.MonteCarloBarostat(1e5, 300, 1))
+    context.reinitialize(preserveState=True)
+    assert integrator.engine == "kernels"
+    integrator.step(10)
+    assert context.getState().getPeriodicBoxVolume()._value < volume
+    x = phase_point(context)[0].reshape(-1, 3, 3)
+    assert np.ptp(np.linalg.norm(x[:, 1] - x[:, 0], axis=1)) < 1e-6
+
+
 def test_energy_is_conserved_where_atoms_are_reordered():
     """A box of water over 300 steps; OpenMM orders molecules anew after 250."""
     _, system, point = settled("box-59", *periodic_system())

@@ -19,7 +19,7 @@ from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.native.constrained_start import OFF
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.records import Changes
+from openmm_sier.engines.records import Changes, RollbackState
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
@@ -61,6 +61,7 @@ class KernelsEngine(NativeEngine):
         Raises:
             openmm.OpenMMException: the Context does not execute the step: it is on another platform.
         """
+        self._has_warned_of_misfit = False
         self._step = installed.step
         self._library = installed.library
         self._address = address_of(context.getIntegrator())
@@ -96,7 +97,7 @@ class KernelsEngine(NativeEngine):
         if system.getNumConstraints():
             checks.refuse_scaled_atoms(system)
         checks.refuse_hits_on_atoms(system, self._step.bodies)
-        checks.refuse_deforming_barostats(system, self._context.getMolecules(), self._step.bodies)
+        checks.refuse_deforming_barostats(system, self._context.getMolecules, self._step.bodies)
 
     def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
         refuse_method(method)
@@ -121,6 +122,8 @@ class KernelsEngine(NativeEngine):
         super()._check_start()
         now = Snapshot.of(self._context)
         q, A, misfit = self.moving.fit_with_misfit(now.positions)
+        if not self._has_warned_of_misfit:
+            self._has_warned_of_misfit = checks.warn_about_misfit(self.moving, misfit)
         if misfit.max(initial=0.0) > (SINGLE_OFF if self.precision == "single" else OFF):
             openmm.Context.setPositions(self._context, self.moving.place(q, A, now.positions))
             if self._has_sites:
@@ -138,11 +141,12 @@ class KernelsEngine(NativeEngine):
     # --- moves of ensembles ---
 
     def _constrain_velocities(self) -> None:
-        """Keep the rigid part of the motion of bodies."""
+        """Keep the rigid part of the motion of bodies, without what points have along constraints."""
         positions, velocities = self._atoms.both
-        _, A = self.moving.fit(positions)
+        q, A = self.moving.fit(positions)
         p, L = self.moving.momenta(velocities, A)
-        self._atoms.write_velocities(self.moving.move(BodyState(p, p, A, L), velocities.copy()))
+        rigid = BodyState(q, self.moving.constraints.project(q, p), A, L)
+        self._atoms.write_velocities(self.moving.move(rigid, velocities.copy()))
 
     def scale(self, factor: float) -> None:
         atoms, owners = self._atoms, self.moving.owners
@@ -162,6 +166,17 @@ class KernelsEngine(NativeEngine):
         return None
 
     # --- heat ---
+
+    def save(self) -> RollbackState:
+        if self._step.counts_heat:
+            # The heat of steps that are not undone.
+            self.heat()
+        return super().save()
+
+    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
+        if self._step.counts_heat:
+            self._take_heat()
+        super().restore(saved, reverse)
 
     def _take_heat(self) -> float:
         """Return the heat that the library has counted since the last time, kJ/mol."""

@@ -92,7 +92,9 @@ def compiled_step(
     resolution = Resolution(around_bath=1 if method.scheme.bath_divides_drift else 0)
     plan = plan_step(method.scheme, longest, resolution, updates, projects=has_constraints)
     counts_heat = bool(method.counts_heat) or BATH not in method.scheme.operators
-    writer = StepWriter(counts_heat and updates)
+    # The heat of OpenMM's own thermostats is not counted by any engine.
+    has_thermostat = any(kind_of(force).sets == "temperature" for force in system.getForces())
+    writer = StepWriter(counts_heat and updates and not has_thermostat)
     try:
         writer.write(plan.operations)
     except ValueError as error:

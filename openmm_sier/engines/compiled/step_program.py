@@ -16,8 +16,7 @@ class Kernel(NamedTuple):
     Attributes:
         name: of the function.
         source: the number of the source that it is in.
-        arguments: names of its arguments: "posq", "posqCorrection", "velm", "force", "random", "randomIndex",
-            "scalars", tables and totals.
+        arguments: names of its arguments, see `kernel_text.ARGUMENTS`.
         threads: number of threads.
         block: number of threads in a block.
         noise: number of random vectors of four that a launch uses.

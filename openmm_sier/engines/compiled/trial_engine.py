@@ -55,6 +55,8 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
 
     #: Potential energy of the sample; None where it is not known.
     _sample_energy: float | None = None
+    #: Whether the start of the present trial was kept, to which an error goes back.
+    has_start = False
 
     def synchronize(self) -> None:
         self._sample_energy = None
@@ -70,13 +72,16 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
 
     def _make(self, trial: Trial, has_force: bool) -> Numbers:
         known, self._sample_energy = self._sample_energy, None
+        self.has_start = False
         trajectory = DeviceTrajectory(self, trial, has_force, known)
         trajectory.execute(TRIAL)
         self._sample_energy = trajectory.potential
         return trajectory.numbers()
 
     def _restore_start(self, reverse: bool) -> None:
-        # The start may not have been kept yet, and then nothing has moved.
+        if not self.has_start:
+            # Nothing has moved.
+            return
         self.run(BLOCKS[GO_BACK], are_forces_known=False)
         if not reverse:
             self.write(-1.0)
@@ -164,6 +169,7 @@ class DeviceTrajectory:
             self.potential = engine.run(ENERGY, are_forces_known=False)
         self._start_potential = self.potential
         engine.run(BLOCKS[KEEP], are_forces_known=self._has_force)
+        engine.has_start = True
 
     def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
         while self._goes_on:
