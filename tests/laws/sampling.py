@@ -272,7 +272,11 @@ class Series:
         if not self._method.is_ergodic and not self._is_held:
             # Without forces the kinetic energy changes by the bath alone, and velocities by a factor.
             kept = math.exp(-self._method.rate * self._method.every)
-            result |= {"K kept": Exact(2 / freedoms * kept), "reversed": Exact(_reversed(kept, freedoms))}
+            result["K kept"] = Exact(2 / freedoms * kept)
+            probability = _reversed(kept, freedoms)
+            # Of rarer reversals there may be none, which gives no error either.
+            if probability > 0.01:
+                result["reversed"] = Exact(probability)
         if self._method.pressure:
             molecules = assembly.molecules
             result |= {

@@ -180,6 +180,7 @@ def test_errors_fall_with_the_order_of_the_scheme_on_the_cpu_platform(examples):
 
 
 @pytest.mark.thorough
+@pytest.mark.hundreds
 @pytest.mark.timeout(3000)
 def test_errors_fall_with_the_order_of_the_scheme_on_gpu_platforms():
     """OpenMM compiles some hundred kernels for each Context, so that examples are few."""
