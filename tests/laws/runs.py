@@ -240,11 +240,12 @@ class Run:
         return 0.5 * float(np.sum(self.masses[:, None] * (velocities - centre) ** 2))
 
     def potential_energy(self):
-        """Return the potential energy at the positions, as OpenMM computes it in another Context, kJ/mol."""
+        """Return the potential energy of the forces that move the atoms, by OpenMM in another Context, kJ/mol."""
         view = self.view()
         context = plain_context(self.system, view.positions, self.name)
         view.show_in(context)
-        return context.getState(energy=True).getPotentialEnergy()._value
+        groups = self.integrator.getIntegrationForceGroups()
+        return context.getState(energy=True, groups=groups).getPotentialEnergy()._value
 
     def assert_rigid(self, view, tolerance, moves=True):
         """Distances that constraints and bodies hold have their lengths, and velocities do not change them.
