@@ -348,7 +348,7 @@ def test_friction_follows_from_diffusion():
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ((ROD, (0.1, 0, 0.1), T), ValueError, "diffusion must be above zero, since no friction stops a body"),
+        ((ROD, (0.1, 0, 0.1), T), ValueError, "diffusion must be above zero: zero would need an infinite friction"),
         ((ROD, -0.1, T), ValueError, "diffusion must not be negative"),
         ((ROD, (0.1, 0.1), T), ValueError, "diffusion must be one number or three"),
         ((ROD, 0.1, 0), ValueError, "temperature must be above zero"),
