@@ -54,9 +54,14 @@ class Inertia:
     # --- motions ---
 
     @cached_property
+    def _turns_freely(self) -> np.ndarray:
+        """Whether each body turns about all axes about which it has a moment, (n,)."""
+        return (self.turns == (self.moments > 0)).all(axis=0)
+
+    @cached_property
     def bearings(self) -> Bearings | None:
         """Bearings of bodies that do not move along and about all axes; None if there are none."""
-        moves_freely = self.translates.all(axis=0) & (self.turns == (self.moments > 0)).all(axis=0)
+        moves_freely = self.translates.all(axis=0) & self._turns_freely
         return None if moves_freely.all() else Bearings(self.translates, self.turns, np.flatnonzero(~moves_freely))
 
     @cached_property
@@ -68,10 +73,9 @@ class Inertia:
         it should, and rounding errors do not grow. So does a body that turns about two axes with equal moments, as a
         line does.
         """
-        turns_freely = (self.turns == (self.moments > 0)).all(axis=0)
-        if turns_freely.all():
+        if self._turns_freely.all():
             return self.moments
-        return np.where(turns_freely, self.moments, (self.moments * self.turns).max(axis=0))
+        return np.where(self._turns_freely, self.moments, (self.moments * self.turns).max(axis=0))
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:

@@ -150,7 +150,7 @@ class BodyType:
         """Return numbers of an argument, which may be a quantity, as an array that nobody can write.
 
         Raises:
-            TypeError: they have another unit, or are no numbers.
+            TypeError: they have another unit, or are not numbers.
             ValueError: one is not finite.
         """
         if unit.is_quantity(values):

@@ -148,22 +148,11 @@ class KernelsEngine(NativeEngine):
         rigid = BodyState(q, self.moving.constraints.project(q, p), A, L)
         self._atoms.write_velocities(self.moving.move(rigid, velocities.copy()))
 
-    def scale(self, factor: float) -> None:
-        atoms, owners = self._atoms, self.moving.owners
-        atoms.write_box([factor * edge for edge in atoms.box])
-        positions = atoms.positions.copy()
-        massive = owners >= 0
-        shifts = (factor - 1) * self.molecule_centres(self.moving.fit(positions)[0])
-        positions[massive] += shifts[:, owners[massive]].T
-        atoms.write_positions(positions)
-        self._check_start()
+    def _centres(self, positions: np.ndarray) -> np.ndarray:
+        return self.moving.fit(positions)[0]
 
-    def _velocities_after_bath(self) -> np.ndarray | None:
-        has_followed = self._follows_bath and Changes.ATOMS not in self.changes
-        if has_followed and self.method.scheme.bath_divides_drift and self._step.fast_groups:
-            bathed = self._library.read_vectors(self._address, BATHED, self.moving.n_particles)
-            return np.asarray(bathed)
-        return None
+    def _bathed_velocities(self) -> np.ndarray:
+        return np.asarray(self._library.read_vectors(self._address, BATHED, self.moving.n_particles))
 
     # --- heat ---
 

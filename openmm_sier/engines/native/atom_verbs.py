@@ -110,12 +110,18 @@ class AtomVerbs(Engine):
         atoms.write_box([factor * edge for edge in atoms.box])
         positions = atoms.positions.copy()
         massive = owners >= 0
-        points = np.empty((3, self.moving.n))
-        points[:, owners[massive]] = positions[massive].T
-        shifts = (factor - 1) * self.molecule_centres(points)
+        shifts = (factor - 1) * self.molecule_centres(self._centres(positions))
         positions[massive] += shifts[:, owners[massive]].T
         atoms.write_positions(positions)
         self._check_start()
+
+    def _centres(self, positions: np.ndarray) -> np.ndarray:
+        """Return the centres of all that moves, (3, n), nm, at positions of particles, (N, 3), nm."""
+        owners = self.moving.owners
+        massive = owners >= 0
+        points = np.empty((3, self.moving.n))
+        points[:, owners[massive]] = positions[massive].T
+        return points
 
     # --- questions of users ---
 
@@ -143,9 +149,13 @@ class AtomVerbs(Engine):
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
         has_followed = self._follows_bath and Changes.ATOMS not in self.changes
-        if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
-            return per_atom_values(self._integrator, V0)
+        if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups & self._groups:
+            return self._bathed_velocities()
         return None
+
+    def _bathed_velocities(self) -> np.ndarray:
+        """Return the velocities that the last step kept just after its bath, (N, 3), nm/ps."""
+        return per_atom_values(self._integrator, V0)
 
     def degrees_of_freedom(self, conserved: bool) -> float:
         return self._reported.degrees_of_freedom(conserved)
