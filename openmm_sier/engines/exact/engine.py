@@ -1,11 +1,12 @@
 """The exact engine: the Context holds the atoms, the engine the bodies, which it rotates exactly.
 
-A call of `step` takes over the atoms (`context_reader`) if a user has set them, moves the bodies (`motion`) by forces
-that the Context computes (`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the
+A call of `step` takes over the atoms (`reading`) if a user has set them, moves the bodies (`motion`) by forces that the
+Context computes (`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the
 bodies in checkpoints (`packing`).
 """
 
 from collections.abc import Collection
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -20,38 +21,31 @@ from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
-from openmm_sier.engines.exact.context_reader import ContextReader
 from openmm_sier.engines.exact.forces import BodyForces, step_error
+from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.packing import StoredPoint
-from openmm_sier.engines.exact.reading import AtomReader
+from openmm_sier.engines.exact.point_verbs import PointVerbs
+from openmm_sier.engines.exact.reading import AtomChange, AtomReader, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.records import Changes, Clock
-from openmm_sier.engines.snapshot import holds_doubles
+from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
-from openmm_sier.engines.variables import HIDDEN_KINETIC
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
 
 
-class ExactEngine(ContextReader):
+class ExactEngine(PointVerbs):
     """An engine as a Python layer over the Context.
 
-    It makes the steps. `ContextReader` takes over changes of the Context, and `PointVerbs` has the questions and moves
-    of ensembles and users.
+    It takes over changes of the Context and makes the steps; `PointVerbs` has what ensembles and users ask.
     """
 
     name = "exact"
     repeats_noise = True
-    _has_point = False
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None):
-        """
-        Args:
-            context: openmm.Context, which has the integrator.
-            method: the scheme that will be executed.
-            tally: of the integrator.
-            bodies: the rigid bodies; None: those that the constraints form.
+        """Find the bodies, those that the constraints form where `bodies` is None; see `Verbs`.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says.
@@ -69,17 +63,14 @@ class ExactEngine(ContextReader):
         self._stored = StoredPoint(context, self.moving)
         self._masses = tables.masses(system)
         self._hides_kinetic_energy = self.moving.has_other_moments
-        self._reader = AtomReader(self.moving)
+        self._reader = AtomReader(self.moving, self.forces, keeps_numbers=holds_doubles(context))
         self._remembers_list = neighbour_list.is_remembered(context)
-        self._keeps_numbers = holds_doubles(context)
-        self._environment = None
         self._published: tuple[BodyState, Clock] | None = None
         #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
         self._calls: list[OperatorCall] = []
         self._calls_with_energy: list[OperatorCall] = []
         #: Whether Forces of the System act before each step.
         self._acts_between_steps = False
-        self._last = None
 
     @property
     def bodies(self) -> BodySet:
@@ -106,6 +97,62 @@ class ExactEngine(ContextReader):
 
     def select_groups(self) -> None:
         self.changes |= Changes.FORCES | Changes.FAST
+
+    def synchronize(self) -> None:
+        """Find the phase point and the clock of a Context in which a user may have changed anything.
+
+        The result depends only on the contents of the Context, so that a restart from a checkpoint is bit-identical.
+
+        Raises:
+            RigidityError: the positions do not form the bodies. Nothing has been changed then.
+        """
+        now = Snapshot.of(self._context)
+        last = self.point if self._has_point else None
+        change = self._reader.change(now, last, is_set=Changes.ATOMS in self.changes)
+        if change is not AtomChange.NONE:
+            point = self._read_point(now, last, change)
+        if Changes.FAST in self.changes:
+            self.motion = self._new_motion()
+        if change is not AtomChange.NONE:
+            self.point = point
+            self._has_point = True
+            self.forces.velocities[:] = now.velocities
+            if self._hides_kinetic_energy:
+                self._report_hidden_kinetic_energy()
+        if Changes.FORCES in self.changes:
+            self._forget_forces()
+        self.clock = Clock(now.time, now.steps)
+        if change is AtomChange.POSITIONS:
+            self.forces.take_positions(now)
+        self._take_environment(now)
+        self.forces.select(self._groups, self.method.fast_groups)
+        if self._remembers_list and (change is AtomChange.POSITIONS or Changes.HISTORY in self.changes):
+            neighbour_list.forget(self._context)
+            self._forget_forces()
+        self._calls = []
+        # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
+        self.changes = Changes.SETTINGS
+
+    def _read_point(self, now: Snapshot, last: BodyState | None, change: AtomChange) -> BodyState:
+        """Return the phase point of the atoms of a Context.
+
+        Raises:
+            RigidityError: the positions do not form the bodies.
+        """
+        if change is AtomChange.POSITIONS:
+            self.refuse_cut_molecules(now)
+        stored = self._stored.latest(last, is_loaded=Changes.VARIABLES in self.changes)
+        point = self._reader.point(now, stored, last, change)
+        if point is not stored:
+            self._stored.is_outdated = True
+        # Atoms of no body act on the bodies too, and may have been moved.
+        return replace(point) if change is AtomChange.POSITIONS else point
+
+    @tables.read_once()
+    def _new_motion(self) -> MotionOperators:
+        fast_groups, rotation = self._groups & self.method.fast_groups, self.method.rotation
+        fast = [i for i, group in enumerate(self._force_groups.values()) if fast_groups >> group & 1]
+        return MotionOperators(self._context, self.moving, self.forces.compute, rotation, fast, self.tally)
 
     # --- steps ---
 
@@ -177,13 +224,6 @@ class ExactEngine(ContextReader):
         if self._hides_kinetic_energy:
             self._report_hidden_kinetic_energy()
 
-    def _report_hidden_kinetic_energy(self) -> None:
-        """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""
-        of_atoms = 0.5 * float(np.einsum("i,ix,ix->", self._masses, self.forces.velocities, self.forces.velocities))
-        hidden = self.kinetic_energy() - of_atoms
-        share = hidden / (3 * np.count_nonzero(self._masses))
-        self._integrator.setPerDofVariableByName(HIDDEN_KINETIC, np.full((len(self._masses), 3), share))
-
     def recover(self) -> None:
         if not self._has_point:
             return
@@ -197,3 +237,53 @@ class ExactEngine(ContextReader):
         """Write the phase point to the per-atom variables."""
         if self._stored.is_outdated and Changes.VARIABLES not in self.changes:
             self._stored.write(self.point)
+
+    # --- Forces that act between steps ---
+
+    def _updated(self, point: BodyState) -> BodyState:
+        """Let the Forces that act between steps do so, and return the phase point after that.
+
+        Raises:
+            RigidityError: the positions do not form the bodies any more.
+        """
+        if self.updates.acts:
+            point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
+        # A CMMotionRemover acts after each number of steps that its frequency divides.
+        if 0 in map(self.clock.steps.__mod__, self.updates.removers):
+            point, energy = self.moving.stopped(point)
+            self.tally.heat -= energy
+        return point
+
+    def _with_new_atoms(self) -> BodyState:
+        self.publish()
+        before = Snapshot.of(self._context)
+        self.updates.let_act(self.method.step)
+        # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
+        openmm.Context.setTime(self._context, self.clock.time + self.method.step)
+        bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
+        moved = not np.array_equal(now.positions, before.positions)
+        q, A = self._reader.fit(now, point) if moved else (point.q, point.A)
+        updated = BodyState(q, bodies.constraints.project(q, point.p), A, point.L, None if moved else point.cache)
+        if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
+            updated = with_velocities(bodies, updated, now)
+        if moved:
+            self.forces.take_positions(now)
+        if now.environment != self._environment:
+            self._take_environment(now)
+            updated = replace(updated)
+        return updated
+
+    def _with_new_box(self) -> BodyState:
+        """Let barostats act. Most often they change nothing, and then nothing is read back."""
+        bodies, point = self.moving, self.point
+        self.forces.place(point.q, point.A)
+        before = self._box()
+        self.updates.let_act(self.method.step)
+        if self._box() == before:
+            return point
+        now = Snapshot.of(self._context)
+        q, A = self._reader.fit(now, point)
+        self.forces.take_positions(now)
+        self._forget_forces()
+        self._environment = now.environment
+        return BodyState(q, bodies.constraints.project(q, point.p), A, point.L)

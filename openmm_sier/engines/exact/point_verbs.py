@@ -16,7 +16,8 @@ from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import RollbackState
-from openmm_sier.engines.snapshot import Environment, box_of
+from openmm_sier.engines.snapshot import Environment, Snapshot, box_of
+from openmm_sier.engines.variables import HIDDEN_KINETIC
 from openmm_sier.system.temperature import Temperatures, number_of_freedoms, temperatures
 
 
@@ -35,9 +36,13 @@ class PointVerbs(Engine):
     updates: SystemUpdates
     point: BodyState
     #: Box and parameters for which forces were computed.
-    _environment: Environment | None
+    _environment: Environment | None = None
+    #: Masses of all particles, (N,), Da.
+    _masses: np.ndarray
+    #: Whether there is a phase point.
+    _has_point = False
     #: The end of the last step, and the phase point just after the bath within it.
-    _last: tuple[BodyState, BodyState] | None
+    _last: tuple[BodyState, BodyState] | None = None
 
     # --- the phase point ---
 
@@ -66,6 +71,18 @@ class PointVerbs(Engine):
         openmm.Context.setPeriodicBoxVectors(self._context, *box)
         if self._environment is not None:
             self._environment = self._environment._replace(box=self._box())
+        self.motion.follow(self._context)
+
+    def _take_environment(self, now: Snapshot) -> None:
+        """Take over box and parameters of a Context where they differ."""
+        if now.environment != self._environment:
+            self._forget_forces()
+            self._environment = now.environment
+
+    def _forget_forces(self) -> None:
+        """Compute forces again next time: positions, box or parameters were changed."""
+        if self._has_point:
+            self.point = replace(self.point)
         self.motion.follow(self._context)
 
     # --- moves of ensembles ---
@@ -123,3 +140,10 @@ class PointVerbs(Engine):
 
     def heat(self) -> float:
         return self.tally.heat
+
+    def _report_hidden_kinetic_energy(self) -> None:
+        """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""
+        of_atoms = 0.5 * float(np.einsum("i,ix,ix->", self._masses, self.forces.velocities, self.forces.velocities))
+        hidden = self.kinetic_energy() - of_atoms
+        share = hidden / (3 * np.count_nonzero(self._masses))
+        self._integrator.setPerDofVariableByName(HIDDEN_KINETIC, np.full((len(self._masses), 3), share))

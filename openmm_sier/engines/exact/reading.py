@@ -7,6 +7,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import IF_CUT
@@ -70,9 +71,41 @@ class AtomReader:
         bodies: the bodies.
     """
 
-    def __init__(self, bodies: BodySet) -> None:
+    def __init__(self, bodies: BodySet, forces: BodyForces, keeps_numbers: bool) -> None:
+        """
+        Args:
+            bodies: the bodies.
+            forces: know the atoms that were written last.
+            keeps_numbers: whether positions and velocities that are set come back as they are, bit for bit.
+        """
         self.bodies = bodies
+        self._forces = forces
+        self._keeps_numbers = keeps_numbers
         self._has_warned_of_misfit = False
+
+    def change(self, now: Snapshot, last: BodyState | None, is_set: bool) -> AtomChange:
+        """Return how the atoms of the Context differ from those of the last phase point.
+
+        Args:
+            now: what the Context holds.
+            last: the last phase point; None without one.
+            is_set: whether positions or velocities were set since then.
+        """
+        if last is None:
+            return AtomChange.POSITIONS
+        if not is_set:
+            return AtomChange.NONE
+        # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
+        is_placed = self._forces.is_at(last.q, last.A)
+        if not (is_placed and self._has(now.positions, self._forces.positions)):
+            return AtomChange.POSITIONS
+        if not self._has(now.velocities, self._forces.velocities):
+            return AtomChange.VELOCITIES
+        return AtomChange.NONE
+
+    def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
+        """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
+        return self._keeps_numbers and np.array_equal(vectors, written)
 
     def point(self, now: Snapshot, stored: BodyState | None, last: BodyState | None, change: AtomChange) -> BodyState:
         """Return the phase point of atoms: a stored one that agrees with them, the last one, or a fit.
