@@ -15,6 +15,7 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.records import Changes
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.trials import Outcome, Trial, make_trial
 from openmm_sier.engines.verbs import Verbs
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
@@ -26,7 +27,7 @@ from openmm_sier.system.temperature import MomentumConservation
 class Engine(Verbs):
     """The motion of the bodies of one Context.
 
-    The methods here are built from the verbs, and no engine replaces them.
+    The methods here are built from the verbs. No engine replaces them, but for `make_trial` where that is one native step.
     """
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
@@ -69,6 +70,18 @@ class Engine(Verbs):
         if any(isinstance(part.force, bonded) for part in with_inner_forces(force)):
             changes |= Changes.BONDS
         return changes
+
+    def make_trial(self, trial: Trial) -> Outcome:
+        """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.
+
+        It takes two draws of random numbers, or one where nothing moves. Heat and number of evaluations go on; the
+        clock is left to the caller.
+
+        Raises:
+            openmm.OpenMMException: the energy of the start is not finite, or OpenMM failed for another reason than a
+                trajectory that cannot be followed. The Context is left at the last sample.
+        """
+        return make_trial(self, trial)
 
     # --- the phase point ---
 

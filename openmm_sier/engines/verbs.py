@@ -14,7 +14,6 @@ from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.records import Changes, Clock, RollbackState
 from openmm_sier.engines.snapshot import precision_of
-from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.temperature import Temperatures
 
@@ -99,18 +98,6 @@ class Verbs(ABC):
 
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.
-        """
-
-    @abstractmethod
-    def make_trial(self, trial: Trial) -> Outcome:
-        """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.
-
-        It takes two draws of random numbers, or one where nothing moves. Heat and number of evaluations go on; the
-        clock is left to the caller.
-
-        Raises:
-            openmm.OpenMMException: the energy of the start is not finite, or OpenMM failed for another reason than a
-                trajectory that cannot be followed. The Context is left at the last sample.
         """
 
     @abstractmethod

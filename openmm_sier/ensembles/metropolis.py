@@ -16,8 +16,7 @@ from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import Clock
 from openmm_sier.engines.session import Advance
-from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
-from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
+from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial, draw_start, refuse_energy, reversal_error
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.forces import kind_of

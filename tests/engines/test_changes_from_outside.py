@@ -8,7 +8,7 @@ import pytest
 from openmm import app
 
 from openmm_sier import SIER2, SIER4, SIER4G, SIERHMCIntegrator, SIERIntegrator, prepare_system
-from openmm_sier.engines import trajectories
+from openmm_sier.engines import trials
 from openmm_sier.ensembles import metropolis
 from openmm_sier.stability.runaway import RunawayError
 from tests.support.peptides import capped_alanine
@@ -136,7 +136,7 @@ def test_no_force_is_computed_where_atoms_are_lost(engine, make, scheme, monkeyp
     integrator = make(0.002, scheme=scheme, engine=engine)
     _context = context_at(assembled([16.0], periodic), integrator, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
     # The atom meets the place where the force is no number within 25 steps; a trial goes there and is rejected.
-    for module in (metropolis, trajectories):
+    for module in (metropolis, trials):
         monkeypatch.setattr(module, "draw_start", lambda *_: None)
     if make is SIERIntegrator:
         with pytest.raises(openmm.OpenMMException, match=r"not finite in step 2\d"):

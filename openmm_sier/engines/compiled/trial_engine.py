@@ -111,7 +111,7 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
 
 
 class DeviceTrajectory:
-    """The trajectory of a trial, made by blocks of commands; see `trajectories.Trajectory`.
+    """The trajectory of a trial, made by blocks of commands; see `trials.Trajectory`.
 
     Attributes:
         potential: potential energy of the sample that the trial leaves, kJ/mol.

@@ -19,7 +19,7 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import OperatorCall, always, calls
 from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
-from openmm_sier.engines import neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, step_error
 from openmm_sier.engines.exact.motion import MotionOperators
@@ -29,7 +29,6 @@ from openmm_sier.engines.exact.reading import AtomChange, AtomReader, with_veloc
 from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.records import Changes, Clock
 from openmm_sier.engines.snapshot import Snapshot, holds_doubles
-from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
@@ -206,9 +205,6 @@ class ExactEngine(PointVerbs):
                 raise step_error(error, steps + 1) from error
             raise
         self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
-
-    def make_trial(self, trial: Trial) -> Outcome:
-        return trajectories.make_trial(self, trial)
 
     def publish(self) -> None:
         """Write the phase point and the clock to the Context."""

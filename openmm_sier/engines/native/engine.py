@@ -11,7 +11,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines import neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
@@ -24,7 +24,6 @@ from openmm_sier.engines.program import Program
 from openmm_sier.engines.records import Changes, Clock, TrajectoryError, says_nan
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
-from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -229,9 +228,6 @@ class NativeEngine(AtomVerbs):
             raise TrajectoryError(
                 f"A position or velocity is not finite in step {step}. Is the step size too long, or do atoms overlap?"
             )
-
-    def make_trial(self, trial: Trial) -> Outcome:
-        return trajectories.make_trial(self, trial)
 
     def publish(self) -> None:
         """Write velocities that an ensemble changed; all else the Context has at any time."""

@@ -17,8 +17,7 @@ from openmm_sier.engines.native.trial_variables import Numbers
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.records import Clock, TrajectoryError, says_nan
 from openmm_sier.engines.snapshot import is_on_host
-from openmm_sier.engines.trajectories import refuse_energy
-from openmm_sier.engines.trials import Outcome, Trial
+from openmm_sier.engines.trials import Outcome, Trial, refuse_energy
 
 
 class TrialEngine(NativeEngine):
