@@ -76,7 +76,6 @@ INNER = (
     "SolverTest",
     "Species",
     "StepCheck",
-    "StoredTally",
     "Volume",
 )
 nitpick_ignore_regex = [

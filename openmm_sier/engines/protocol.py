@@ -17,7 +17,6 @@ from openmm_sier.engines.records import Changes
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.trials import Outcome, Trial, make_trial
 from openmm_sier.engines.verbs import Verbs
-from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
 from openmm_sier.system.inner_forces import with_inner_forces
 from openmm_sier.system.solver_test import SolverTest
@@ -27,7 +26,7 @@ from openmm_sier.system.temperature import MomentumConservation
 class Engine(Verbs):
     """The motion of the bodies of one Context.
 
-    The methods here are built from the verbs. No engine replaces them, but for `make_trial` where that is one native step.
+    The methods here are built from the verbs. No engine replaces them, but for `make_trial` if it is one native step.
     """
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
@@ -132,14 +131,6 @@ class Engine(Verbs):
     def volume(self) -> float:
         """Return the volume of the box, nm^3."""
         return openmm.Context.getState(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
-
-    def refuse_volume_moves(self) -> None:
-        """Refuse moves of the volume that the System does not allow.
-
-        Raises:
-            openmm.OpenMMException: it does not allow them.
-        """
-        checks.refuse_constant_pressure(self._context.getSystem(), self.moving)
 
     # --- questions of users ---
 

@@ -1,7 +1,6 @@
 """Variables of the CustomIntegrator, which carry what checkpoints and States must hold."""
 
 import math
-import weakref
 
 import numpy as np
 import openmm
@@ -39,43 +38,31 @@ def per_atom_values(integrator: openmm.CustomIntegrator, name: str) -> np.ndarra
     return vectors_to_array(integrator.getPerDofVariableByName(name))
 
 
-class StoredTally:
-    """A tally, and the global variables of an integrator by which checkpoints, States and XML carry it.
+def names_of(tally: Tally) -> tuple[str, ...]:
+    """Return the names of the global variables of a tally."""
+    return HEAT, DRAWS, SEED, *tally.counts
 
-    They are written before one of these is made, and read after it was loaded. At other times they do not matter.
 
-    Attributes:
-        tally: the tally.
-        names: of all variables.
+def load_tally(integrator: openmm.CustomIntegrator, tally: Tally) -> None:
+    """Set a tally to its variables, after a checkpoint, State or XML was loaded.
+
+    Raises:
+        openmm.OpenMMException: heat, draws or seed are not finite.
     """
+    get = integrator.getGlobalVariableByName
+    for name in (HEAT, DRAWS, SEED):
+        if not math.isfinite(value := get(name)):
+            raise openmm.OpenMMException(
+                f"The State, checkpoint or XML has {name} = {value}, expected a finite number: give another one"
+            )
+    tally.heat = get(HEAT)
+    tally.draws = int(get(DRAWS))
+    tally.seed = int(get(SEED))
+    tally.counts = {name: get(name) for name in tally.counts}
 
-    def __init__(self, integrator: openmm.CustomIntegrator, tally: Tally):
-        # The integrator holds this.
-        self._integrator = weakref.ref(integrator)
-        self.tally = tally
-        self.names = HEAT, DRAWS, SEED, *tally.counts
 
-    def load(self) -> None:
-        """Set the tally to the variables.
-
-        Raises:
-            openmm.OpenMMException: heat, draws or seed are not finite.
-        """
-        get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
-        tally = self.tally
-        for name in (HEAT, DRAWS, SEED):
-            if not math.isfinite(value := get(name)):
-                raise openmm.OpenMMException(
-                    f"The State, checkpoint or XML has {name} = {value}, expected a finite number: give another one"
-                )
-        tally.heat = get(HEAT)
-        tally.draws = int(get(DRAWS))
-        tally.seed = int(get(SEED))
-        tally.counts = {name: get(name) for name in tally.counts}
-
-    def write(self) -> None:
-        """Set the variables to the tally."""
-        tally, integrator = self.tally, self._integrator()
-        values = {HEAT: tally.heat, DRAWS: float(tally.draws), SEED: float(tally.seed), **tally.counts}
-        for name, value in values.items():
-            integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+def write_tally(integrator: openmm.CustomIntegrator, tally: Tally) -> None:
+    """Set the variables to a tally, before one of these is made; at other times they do not matter."""
+    values = tally.heat, tally.draws, tally.seed, *tally.counts.values()
+    for name, value in zip(names_of(tally), values, strict=True):
+        integrator.setGlobalVariableByName(name, value)

@@ -44,13 +44,7 @@ class Verbs(ABC):
     clock: Clock = Clock(0.0, 0)
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
-        """Keep the Context, the method and the tally. Engines refuse, here, whatever they cannot do.
-
-        Args:
-            context: openmm.Context, which has the integrator.
-            method: the scheme that will be executed.
-            tally: of the integrator.
-        """
+        """Keep the arguments, see `make_engine`. Engines refuse here whatever they cannot do."""
         # The Context owns its integrator, and that its engine: strong references back would keep all of them alive.
         self._context = weakref.proxy(context)
         self._integrator = weakref.proxy(context.getIntegrator())

@@ -17,6 +17,7 @@ from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.session import Advance
 from openmm_sier.engines.variables import PREFIX
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
 #: Global variables of volume moves: the largest change of ln V, 0 before the first; and what else `MoveSize` has.
@@ -154,7 +155,7 @@ class ConstantTemperature(Ensemble):
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         if self.pressure is not None:
-            engine.refuse_volume_moves()
+            checks.refuse_constant_pressure(system, engine.moving)
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:

@@ -102,22 +102,6 @@ class Metropolis(ConstantTemperature):
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
         return replace(method, updates_context=False, trial_steps=self.steps_per_trial)
 
-    def _trial(self, method: IntegrationMethod) -> Trial:
-        """Return the numbers that all trials share; nothing moves in this one."""
-        kept, chances = self._kept(method), self._chances(method)
-        return Trial(
-            self.steps_per_trial, chances, kept, self._kT, kinetic_energy=0.0, threshold=0.0, centre=np.zeros(3)
-        )
-
-    @property
-    def _kT(self) -> float:
-        """Return kT in kJ/mol."""
-        return GAS_CONSTANT * self.temperature
-
-    def _kept(self, method: IntegrationMethod) -> float:
-        """Return the factor that momenta keep in a trial."""
-        return 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * method.step)
-
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
             if kind_of(force).sets:
@@ -135,7 +119,7 @@ class Metropolis(ConstantTemperature):
         tally, length = engine.tally, self.steps_per_trial * engine.method.step
         checked = self._check_reversal(engine)
         clock = engine.clock
-        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._trial(engine.method))
+        outcome = engine.make_trial(self._trial(engine))
         made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         tally.counts |= {**checked, TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
@@ -143,24 +127,25 @@ class Metropolis(ConstantTemperature):
 
     # --- the choices of a trial ---
 
-    def _chosen(self, engine: Engine) -> Trial:
-        """Draw the random numbers of a trial.
+    def _trial(self, engine: Engine) -> Trial:
+        """Draw the random numbers of a trial; nothing is drawn where nothing moves.
 
         Where the centre of mass was stopped after the last trial, it is given a velocity before momenta are drawn, in
         part or all of them, and the kinetic energy that is over-relaxed has that of the centre too.
         """
-        tally, method = engine.tally, engine.method
-        centre = np.zeros(3)
-        mass = engine.moving.moving_mass
-        if engine.removes_momentum:
-            thermal = np.sqrt(np.divide(self._kT, mass, out=np.zeros(3), where=mass > 0))
-            centre = thermal * tally.noise(stream=3).standard_normal(3)
-        half = 0.5 * self._kT
-        before = (engine.kinetic_energy() + 0.5 * float(mass @ centre**2)) / half
-        freedoms = engine.degrees_of_freedom(conserved=False)
-        kinetic = half * over_relaxed(before, freedoms, tally.noise(stream=5))
-        threshold = largest_error(tally.seed, tally.draws + 1)
-        return self._trial(method)._replace(kinetic_energy=kinetic, threshold=threshold, centre=centre)
+        tally, method, kT = engine.tally, engine.method, GAS_CONSTANT * self.temperature
+        kept = 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * method.step)
+        centre, kinetic, threshold = np.zeros(3), 0.0, 0.0
+        if _moves(engine):
+            mass = engine.moving.moving_mass
+            if engine.removes_momentum:
+                thermal = np.sqrt(np.divide(kT, mass, out=np.zeros(3), where=mass > 0))
+                centre = thermal * tally.noise(stream=3).standard_normal(3)
+            before = (engine.kinetic_energy() + 0.5 * float(mass @ centre**2)) / (0.5 * kT)
+            freedoms = engine.degrees_of_freedom(conserved=False)
+            kinetic = 0.5 * kT * over_relaxed(before, freedoms, tally.noise(stream=5))
+            threshold = largest_error(tally.seed, tally.draws + 1)
+        return Trial(self.steps_per_trial, self._chances(method), kept, kT, kinetic, threshold, centre)
 
     def _chances(self, method: IntegrationMethod) -> int:
         """Return how many times a trajectory may go on."""
@@ -188,7 +173,7 @@ class Metropolis(ConstantTemperature):
         sample = engine.save()
         try:
             if _moves(engine):
-                draw_start(engine, self._chosen(engine))
+                draw_start(engine, self._trial(engine))
             last = 1 if engine.precision == "single" else 1 + self._chances(engine.method)
             # Later ends need not exist, for example where atoms leave a potential that ends.
             for steps in (self.steps_per_trial * last, self.steps_per_trial):

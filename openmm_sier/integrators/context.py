@@ -12,7 +12,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.records import Changes
 from openmm_sier.engines.session import Session
 from openmm_sier.integrators.impl import IntegratorImpl
-from openmm_sier.integrators.persistence import load_checkpoint, set_state, store
+from openmm_sier.integrators.storage import load_checkpoint, set_state, store
 from openmm_sier.system import tables
 
 #: The parameters of OpenMM's method.

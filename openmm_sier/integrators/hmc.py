@@ -140,7 +140,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     @property
     def _counts(self) -> dict[str, float]:
         """Numbers of the tally, by name."""
-        return self.impl.stored.tally.counts
+        return self.impl.tally.counts
 
     @property
     def trials(self) -> int:

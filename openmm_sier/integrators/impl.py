@@ -19,7 +19,7 @@ from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.session import Rules, Session
 from openmm_sier.engines.snapshot import is_on_host
-from openmm_sier.engines.variables import StoredTally, report_hidden_kinetic_energy
+from openmm_sier.engines.variables import names_of, report_hidden_kinetic_energy, write_tally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
@@ -32,14 +32,14 @@ class IntegratorImpl:
 
     A new integrator has its variables and settings, and no computations yet. `prepare` writes the program before a
     Context is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `change`
-    replaces settings at any time. `session` makes steps, and hears of all changes; `persistence` writes and reads what
+    replaces settings at any time. `session` makes steps, and hears of all changes; `storage` writes and reads what
     checkpoints, States and XML carry.
 
     Attributes:
         settings: the arguments of the integrator.
         session: its steps, and the engine that makes them.
         program: the program of the native engine: a general one, and from `prepare` on that which OpenMM executes.
-        stored: heat, random numbers and counts, in variables that checkpoints carry.
+        tally: heat, random numbers and counts, which variables carry in checkpoints.
         has_warned_of_noise: whether a warning was given that a State has no noise.
     """
 
@@ -58,7 +58,7 @@ class IntegratorImpl:
         self._computations = integrator.getNumComputations()
         #: The step of the kernels engine for the next Context; None without one.
         self._installed: InstalledStep | None = None
-        self.stored = StoredTally(integrator, Tally(counts=integrator_settings.ensemble.counts))
+        self.tally = Tally(counts=integrator_settings.ensemble.counts)
         self.has_warned_of_noise = False
 
     @property
@@ -87,7 +87,7 @@ class IntegratorImpl:
     def declare(self) -> None:
         """Give a new integrator its variables and its settings."""
         integrator = self.integrator
-        for name in self.stored.names:
+        for name in names_of(self.tally):
             integrator.addGlobalVariable(name, 0)
         installation.declare(integrator, bool(self.method().trial_steps))
         integrator.setConstraintTolerance(TOLERANCE)
@@ -202,9 +202,9 @@ class IntegratorImpl:
         self._write_program(system, platform)
         if self.settings.scheme.without_bath().order >= 4:
             warn_about_pme(system, self.settings.scheme.name)
-        self.stored.tally.clear()
-        self.stored.tally.seed = 0
-        self.stored.write()
+        self.tally.clear()
+        self.tally.seed = 0
+        write_tally(self.integrator, self.tally)
 
     @property
     def has_hidden_kinetic_energy(self) -> bool:
@@ -276,7 +276,7 @@ class IntegratorImpl:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says. There is no
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
-        tally = self.stored.tally
+        tally = self.tally
         if not keeps_tally:
             tally.clear()
         system = context.getSystem()

@@ -50,7 +50,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
             context.loadCheckpoint(saved)  # noqa: B023
             monkeypatch.setattr(metropolis, "largest_error", lambda *_: largest)
             integrator.setExtraChances(chances)
-            integrator.impl.stored.tally.counts[metropolis.CHECKED_STEP] = integrator.getSchemeStepSize()._value
+            integrator.impl.tally.counts[metropolis.CHECKED_STEP] = integrator.getSchemeStepSize()._value
             forces = integrator.forceEvaluations
             integrator.step(1)
             return integrator.accepted - accepted, (integrator.forceEvaluations - forces) // 6  # noqa: B023

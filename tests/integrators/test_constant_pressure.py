@@ -178,13 +178,13 @@ def test_a_restart_continues_with_the_size_of_moves(tmp_path, monkeypatch, engin
     load = after_ten_steps(whole, way, tmp_path / "saved")
     continued = simulation_of(None, system, moved_every_step(engine), point=(positions, 0 * positions))
     getattr(continued, load)(str(tmp_path / "saved"))
-    at_restart = whole.integrator.impl.stored.tally.counts[SIZE]
+    at_restart = whole.integrator.impl.tally.counts[SIZE]
     assert at_restart < LARGEST_SIZE
     for steps in (1, 19):
         whole.step(steps)
         continued.step(steps)
         assert_same(everything(continued.context), everything(whole.context))
-    assert whole.integrator.impl.stored.tally.counts[SIZE] != at_restart
+    assert whole.integrator.impl.tally.counts[SIZE] != at_restart
 
 
 @both_engines

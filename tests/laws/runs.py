@@ -163,7 +163,7 @@ class Run:
 
     def everything(self):
         """All that a restart must repeat, and at last the counted heat."""
-        tally = self.integrator.impl.stored.tally
+        tally = self.integrator.impl.tally
         atoms = phase_point(self.context), clock_and_box(self.context)
         return (*atoms[0], *atoms[1], tally.draws, tally.seed, *tally.counts.values(), self.integrator.countedHeat)
 

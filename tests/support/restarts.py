@@ -18,7 +18,7 @@ def simulation_of(topology, system, integrator, name="Reference", point=None):
 
 def everything(context):
     """Positions, velocities, box, time, step count and what bath, moves and trials count."""
-    tally = context.getIntegrator().impl.stored.tally
+    tally = context.getIntegrator().impl.tally
     return (
         *phase_point(context),
         *clock_and_box(context),

@@ -36,7 +36,7 @@ def broken(positions):
 def rejected(context, trials):
     """Return how many of some trials are rejected. Each of these leaves the start; samples satisfy the constraint."""
     integrator, count = context.getIntegrator(), 0
-    integrator.impl.stored.tally.counts[metropolis.CHECKED_STEP] = STEP
+    integrator.impl.tally.counts[metropolis.CHECKED_STEP] = STEP
     for _ in range(trials):
         start, accepted = phase_point(context)[0], integrator.accepted
         integrator.step(1)

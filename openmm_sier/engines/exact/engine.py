@@ -44,7 +44,7 @@ class ExactEngine(PointVerbs):
     repeats_noise = True
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None):
-        """Find the bodies, those that the constraints form where `bodies` is None; see `Verbs`.
+        """Find the bodies; see `make_engine` for all arguments.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says.

@@ -53,13 +53,7 @@ class NativeEngine(AtomVerbs):
     def __init__(
         self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None, program: Program
     ) -> None:
-        """
-        Args:
-            context: openmm.Context, which has the integrator.
-            method: the scheme that will be executed.
-            tally: of the integrator.
-            bodies: the rigid bodies; None: those that the constraints form.
-            program: what OpenMM executes, which is written for the method.
+        """Keep the program that is written for the method; see `make_engine` for all arguments.
 
         Raises:
             openmm.OpenMMException: the integrator needs what only the exact engine has, such as bodies that are not

@@ -25,7 +25,16 @@ def refuse_method(method: IntegrationMethod, program: Program) -> None:
     Raises:
         openmm.OpenMMException: the message says why, and the remedy.
     """
-    if reason := why_not(method, program):
+    reason = ""
+    if program.refusal:
+        reason = f"does not know this scheme, since {program.refusal}: take another scheme"
+    elif method.rotation is not exact:
+        reason = "has only the exact free-rotation map: leave out `rotation`"
+    elif method.bath is not None and isinstance(method.bath.friction, Mapping):
+        reason = "has one friction for all bodies: give `frictionCoeff` as a number"
+    elif method.bath is not None and method.bath.common_friction is None:
+        reason = "has one friction for translation and rotation: leave out `rotationalFriction`"
+    if reason:
         raise openmm.OpenMMException(f"The native engine {reason}, {REMEDY}")
 
 
@@ -44,19 +53,6 @@ def refuse_system(system: openmm.System, bodies: BodySet | None) -> None:
         )
     if system.getNumConstraints():
         checks.refuse_scaled_atoms(system)
-
-
-def why_not(method: IntegrationMethod, program: Program) -> str | None:
-    """Tell why a program cannot follow a method with any System, and the remedy; None if it can."""
-    if program.refusal:
-        return f"does not know this scheme, since {program.refusal}: take another scheme"
-    if method.rotation is not exact:
-        return "has only the exact free-rotation map: leave out `rotation`"
-    if method.bath is not None and isinstance(method.bath.friction, Mapping):
-        return "has one friction for all bodies: give `frictionCoeff` as a number"
-    if method.bath is not None and method.bath.common_friction is None:
-        return "has one friction for translation and rotation: leave out `rotationalFriction`"
-    return None
 
 
 def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
