@@ -104,3 +104,17 @@ class Snapshot(NamedTuple):
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
             openmm.Context.getState(context, energy=True, groups=0)
         return cls(positions, velocities, time_of(state), state.getStepCount(), Environment.of(state))
+
+    def refuse_what_is_not_finite(self) -> None:
+        """Refuse positions or velocities that are infinite or NaN.
+
+        Raises:
+            openmm.OpenMMException: the message names the first such atom.
+        """
+        for name, vectors in (("position", self.positions), ("velocity", self.velocities)):
+            is_finite = np.isfinite(vectors).all(axis=1)
+            if not is_finite.all():
+                atom = int(is_finite.argmin())
+                raise openmm.OpenMMException(
+                    f"The {name} of atom {atom} in the Context is {vectors[atom]}, and not finite"
+                )

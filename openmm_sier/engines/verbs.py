@@ -102,9 +102,8 @@ class Verbs(ABC):
     def recover(self) -> None:
         """Write the last completed step to the Context after an error, as far as the engine still has it."""
 
-    @abstractmethod
-    def store(self) -> None:
-        """Write the phase point to the variables that checkpoints, States and XML carry."""
+    def store(self) -> None:  # noqa: B027
+        """Write the phase point to the variables that checkpoints, States and XML carry, if the Context lacks some."""
 
     @abstractmethod
     def select_groups(self) -> None:
@@ -163,9 +162,9 @@ class Verbs(ABC):
         """Return the rigid and point bodies of the System."""
 
     @property
-    @abstractmethod
     def momentum_lag(self) -> float:
-        """See `Scheme.momentum_lag`."""
+        """Return `Scheme.momentum_lag`."""
+        return self.method.scheme.momentum_lag
 
     @abstractmethod
     def state(self) -> BodyState:
@@ -183,9 +182,9 @@ class Verbs(ABC):
     def degrees_of_freedom(self, conserved: bool) -> float:
         """Return the number of degrees of freedom that share the heat; `conserved` as in `temperatures`."""
 
-    @abstractmethod
     def heat(self) -> float:
         """Return the energy from baths and moves, and not from forces, kJ/mol; NaN where it is not counted."""
+        return self.tally.heat
 
     # --- actions of users in the Context ---
 

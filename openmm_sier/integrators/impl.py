@@ -14,7 +14,8 @@ from openmm_sier.engines.compiled.engine import KernelsEngine
 from openmm_sier.engines.compiled.installation import InstalledStep, installed
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
-from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
+from openmm_sier.engines.native.program import general_program, program_for
+from openmm_sier.engines.native.refusals import needs_finite_positions
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.session import Rules, Session

@@ -142,7 +142,7 @@ class KernelsEngine(NativeEngine):
 
     def _constrain_velocities(self) -> None:
         """Keep the rigid part of the motion of bodies, without what points have along constraints."""
-        positions, velocities = self._atoms.both
+        positions, velocities = self._atoms.positions, self._atoms.velocities
         q, A = self.moving.fit(positions)
         p, L = self.moving.momenta(velocities, A)
         rigid = BodyState(q, self.moving.constraints.project(q, p), A, L)

@@ -120,10 +120,6 @@ class PointVerbs(Engine):
 
     # --- questions of users ---
 
-    @property
-    def momentum_lag(self) -> float:
-        return self.method.scheme.momentum_lag
-
     def state(self) -> BodyState:
         if self.changes:
             self.synchronize()
@@ -137,9 +133,6 @@ class PointVerbs(Engine):
 
     def degrees_of_freedom(self, conserved: bool) -> float:
         return number_of_freedoms(self.moving, conserved)
-
-    def heat(self) -> float:
-        return self.tally.heat
 
     def _report_hidden_kinetic_energy(self) -> None:
         """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""

@@ -17,10 +17,6 @@ import openmm
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.system import tables
 
-#: The names by which `Context.getState` is asked for vectors, each with its number.
-POSITIONS, VELOCITIES = "positions", "velocities"
-KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
-
 
 class AtomCache:
     """Positions, velocities and box of a Context, read when needed, which can be written.
@@ -51,7 +47,8 @@ class AtomCache:
         self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         self._is_single = is_single
         self.is_unwritten = False
-        self._cached: dict[str, np.ndarray] = {}
+        self._positions: np.ndarray | None = None
+        self._velocities: np.ndarray | None = None
         self._box: Any = None
         #: Kinetic energy and velocity of the centre of mass, where they were computed from the cached velocities.
         self._kinetic: float | None = None
@@ -61,20 +58,21 @@ class AtomCache:
         """Write velocities that the Context does not have yet."""
         if self.is_unwritten:
             self.is_unwritten = False
-            openmm.Context.setVelocities(self._context, self._cached[VELOCITIES])
+            openmm.Context.setVelocities(self._context, self._velocities)
 
     def forget(self) -> None:
         """Write unwritten velocities and discard the cache, before atoms are moved or after that."""
         if self.is_unwritten:
             self.publish()
-        self._cached = {}
+        self._positions = None
+        self._velocities = None
         self._box = None
         self._kinetic = None
         self._centre = None
 
     def forget_velocities(self) -> None:
         """Discard cached velocities: they were replaced in the Context, and positions were not."""
-        self._cached.pop(VELOCITIES, None)
+        self._velocities = None
         self.is_unwritten = False
         self._kinetic = None
         self._centre = None
@@ -84,12 +82,24 @@ class AtomCache:
     @property
     def positions(self) -> np.ndarray:
         """Return the positions of all particles, (N, 3), nm."""
-        return self._vectors(POSITIONS)[POSITIONS]
+        if self._positions is None:
+            self._positions = self._read(openmm.State.Positions, positions=True)
+        return self._positions
 
     @property
     def velocities(self) -> np.ndarray:
         """Return velocities of all particles, (N, 3), nm/ps."""
-        return self._vectors(VELOCITIES)[VELOCITIES]
+        if self._velocities is None:
+            self._velocities = self._read(openmm.State.Velocities, velocities=True)
+        return self._velocities
+
+    def _read(self, kind: int, **asked_for: bool) -> np.ndarray:
+        """Return vectors of a kind, (N, 3)."""
+        vectors = np.empty((len(self.masses), 3))
+        # Like getPositions(asNumpy=True), but without its overhead for names and units.
+        openmm.Context.getState(self._context, **asked_for)._getVectorAsNumpy(kind, vectors)
+        vectors.flags.writeable = False
+        return vectors
 
     @property
     def box(self) -> Any:
@@ -97,24 +107,6 @@ class AtomCache:
         if self._box is None:
             self._box = box_of(openmm.Context.getState(self._context))
         return self._box
-
-    @property
-    def both(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities, by one request where neither is known."""
-        vectors = self._vectors(POSITIONS, VELOCITIES)
-        return vectors[POSITIONS], vectors[VELOCITIES]
-
-    def _vectors(self, *names: str) -> dict[str, np.ndarray]:
-        missing = [name for name in names if name not in self._cached]
-        if missing:
-            state = openmm.Context.getState(self._context, **dict.fromkeys(missing, True))
-            for name in missing:
-                vectors = np.empty((len(self.masses), 3))
-                # Like getPositions(asNumpy=True), but without its overhead for names and units.
-                state._getVectorAsNumpy(KINDS[name], vectors)
-                vectors.flags.writeable = False
-                self._cached[name] = vectors
-        return self._cached
 
     # --- changes ---
 
@@ -125,7 +117,7 @@ class AtomCache:
 
     def write_positions(self, positions: np.ndarray) -> None:
         """Set positions. GPU platforms may round them, so that they are read again."""
-        self._cached.pop(POSITIONS, None)
+        self._positions = None
         openmm.Context.setPositions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
@@ -135,7 +127,7 @@ class AtomCache:
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
         velocities.flags.writeable = False
-        self._cached[VELOCITIES] = velocities
+        self._velocities = velocities
         self.is_unwritten = True
 
     def scale(self, factor: float, shift: np.ndarray) -> None:

@@ -47,7 +47,8 @@ class AtomVerbs(Engine):
 
     def save(self) -> RollbackState:
         atoms, tally = self._atoms, self.tally
-        return RollbackState(atoms.both, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
+        point = atoms.positions, atoms.velocities
+        return RollbackState(point, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
 
     def restore(self, saved: RollbackState, reverse: bool = False) -> None:
         positions, velocities = saved.point

@@ -19,11 +19,9 @@ from openmm_sier.engines.native.atom_verbs import AtomVerbs
 from openmm_sier.engines.native.constrained_start import are_satisfied, satisfy_constraints
 from openmm_sier.engines.native.installation import set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
-from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.records import Changes, Clock, TrajectoryError, says_nan
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
-from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -76,7 +74,7 @@ class NativeEngine(AtomVerbs):
         self._follows_bath = False
         self._atoms = AtomCache(context, is_single=self.precision == "single")
         self._remembers_list = neighbour_list.is_remembered(context)
-        self._checks_positions = needs_finite_positions(system, context.getPlatform())
+        self._checks_positions = refusals.needs_finite_positions(system, context.getPlatform())
         if self.precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
@@ -104,7 +102,7 @@ class NativeEngine(AtomVerbs):
         if groups is not None:
             system = self._context.getSystem()
             refusals.refuse_fast_forces(system, groups_of(method.fast_groups), groups)
-            refuse_other_slow_groups(self._program, system, groups, method.fast_groups)
+            refusals.refuse_other_slow_groups(self._program, system, groups, method.fast_groups)
 
     def synchronize(self) -> None:
         changes = self.changes
@@ -135,7 +133,7 @@ class NativeEngine(AtomVerbs):
         self._velocities_changed()
         self._atoms.publish()
         now = Snapshot.of(self._context)
-        refuse_what_is_not_finite(now)
+        now.refuse_what_is_not_finite()
         self.refuse_cut_molecules(now)
         if self._remembers_list:
             neighbour_list.forget(self._context)
@@ -230,6 +228,3 @@ class NativeEngine(AtomVerbs):
 
     def recover(self) -> None:
         self._atoms.publish()
-
-    def store(self) -> None:
-        """Do nothing: the phase point is in the Context."""

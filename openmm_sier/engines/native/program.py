@@ -1,4 +1,4 @@
-"""A splitting scheme written out as the program of an OpenMM CustomIntegrator.
+"""A splitting scheme written out as the program of an OpenMM CustomIntegrator: a general one, or the one for a System.
 
 The program runs where the forces run. `write` makes it from the plan of a `Scheme` and `installation.install` gives it
 to an integrator; `print(write(SIER4G, rattle_steps=5))` shows it.
@@ -18,15 +18,27 @@ to, since that takes four more projections of the velocities.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
 
+import openmm
+
+from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
-from openmm_sier.dynamics.integration_method import FEWEST_WITH_BATH
+from openmm_sier.dynamics.integration_method import FEWEST_WITH_BATH, IntegrationMethod
 from openmm_sier.dynamics.plan import Resolution, plan_step
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.native.refusals import points, slow_groups
 from openmm_sier.engines.native.statements import Force, Statements
-from openmm_sier.engines.program import ALL_GROUPS, ForceTerm, Line, Program
+from openmm_sier.engines.program import ALL_GROUPS, ForceTerm, Line, Program, Trials
+from openmm_sier.stability.motions import shortest_period
+from openmm_sier.stability.step_rules import longest_inner_step
+from openmm_sier.system import tables
+from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.find_bodies import bodies_of
+from openmm_sier.system.solver_test import may_not_converge
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
@@ -149,3 +161,93 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
         parts[-1].append(line)
         moved = moved or line.moves
     return tuple(map(tuple, parts))
+
+
+# --- for an integrator ---
+
+
+def general_program(method: IntegrationMethod) -> Program:
+    """Return a program that executes a method in any System; one without parts if OpenMM cannot execute the method.
+
+    A method of trials becomes a program of whole trials.
+    """
+    if method.trial_steps:
+        return _written(method, divides_step=False, trials=Trials())
+    return _written(method)
+
+
+def program_for(
+    method: IntegrationMethod,
+    system: openmm.System,
+    bodies: BodySet | None,
+    groups: int,
+    on_gpu: bool,
+    checks_positions: bool,
+) -> Program:
+    """Return the program that follows a method in a System, and costs least there.
+
+    Args:
+        method: what to follow.
+        system: openmm.System.
+        bodies: the rigid bodies; None: those that the constraints form.
+        groups: the integration force groups, a bit mask.
+        on_gpu: whether a platform for GPUs executes it: then heat of a bath is not counted where the method leaves that
+            open, and virtual sites follow their atoms within a native step.
+        checks_positions: whether the engine looks at positions before each force.
+
+    Returns:
+        A program, or one without parts if OpenMM cannot execute the method.
+    """
+    slow = slow_groups(system, groups, method.fast_groups)
+    has_virtual_sites = tables.virtual_sites(system).size > 0
+    # A trial is one native step where virtual sites follow, and nobody looks at positions.
+    in_trials = bool(method.trial_steps) and not checks_positions and (on_gpu or not has_virtual_sites)
+    is_stopped = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    stopped_mass = float(tables.masses(system).sum()) if is_stopped else 0.0
+    return _written(
+        method,
+        # By its name the force of a group is right only if no other slow force acts.
+        slow_group=slow[0] if method.fast_groups and len(slow) == 1 else None,
+        divides_step=not in_trials and (has_virtual_sites or checks_positions),
+        counts_heat=not on_gpu if method.counts_heat is None else method.counts_heat,
+        trials=Trials(stopped_mass, checks_constraints=may_not_converge(system)) if in_trials else None,
+        period=_shortest_period(system, bodies, groups & method.fast_groups) if method.fast_groups else None,
+    )
+
+
+def _shortest_period(system: openmm.System, bodies: BodySet | None, groups: int) -> float | None:
+    """Return the period of the fastest bond by some force groups, ps; see `shortest_period`."""
+    try:
+        rigid = tuple(bodies_of(system, bodies).species)
+    except RigidityError:
+        # No named body, and constraints that form none.
+        rigid = ()
+    return shortest_period(system, points(system), rigid, groups)
+
+
+def _written(
+    method: IntegrationMethod, trials: Trials | None = None, period: float | None = None, **choices: Any
+) -> Program:
+    """Write a program by `program.write`, or one without parts that says why not.
+
+    Args:
+        method: what to follow.
+        trials: that the program makes.
+        period: of the fastest motion by fast forces, ps; None if it is not known.
+        choices: further arguments of `program.write`.
+    """
+    if method.fast_groups:
+        # A program serves all steps, of which one of zero length makes none.
+        shown = method if method.step else replace(method, step=1.0)
+        inner_step = shown.inner_step(longest_inner_step(method.scheme, period))
+        choices |= {"fast_groups": groups_of(method.fast_groups), "inner_step": inner_step / shown.step}
+    else:
+        choices["rattle_steps"] = method.substeps
+    if method.trial_steps and not method.substeps:
+        # A step of RATTLE is reversible and keeps the volume of phase space, whatever its error.
+        choices["rattle_steps"] = 1
+    try:
+        program = write(method.scheme, updates_context=method.updates_context, bath=method.bath, **choices)
+        return program._replace(trials=trials)
+    except ValueError as error:
+        return Program(method.scheme.name, (), str(error))

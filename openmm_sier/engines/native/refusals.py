@@ -12,6 +12,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
+from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.forces import kind_of
 
@@ -115,9 +116,49 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             )
 
 
+def slow_groups(system: openmm.System, groups: int, fast_groups: int) -> tuple[int, ...]:
+    """Return the force groups in which slow forces move the atoms; both arguments are bit masks."""
+    return tuple(groups_of(_acting_groups(system) & groups & ~fast_groups))
+
+
+def refuse_other_slow_groups(program: Program, system: openmm.System, groups: int, fast_groups: int) -> None:
+    """Refuse integration force groups whose slow forces are not those that a program takes by the name of their group.
+
+    Raises:
+        openmm.OpenMMException: somebody changed the groups after the program was written.
+    """
+    group, present = program.slow_group, slow_groups(system, groups, fast_groups)
+    if group is not None and present != (group,):
+        raise openmm.OpenMMException(
+            f"Force groups have changed since the Context was made: its slow forces were in force group {group}, and "
+            f"are now in {present or 'none'}. Set force groups before the Context is made, or take engine='exact'"
+        )
+
+
+def _acting_groups(system: openmm.System) -> int:
+    """Return the force groups of all Forces that exert forces, a bit mask."""
+    mask = 0
+    for force in system.getForces():
+        if not kind_of(force).exerts_forces:
+            continue
+        mask |= 1 << force.getForceGroup()
+        if isinstance(force, openmm.NonbondedForce) and force.getReciprocalSpaceForceGroup() >= 0:
+            mask |= 1 << force.getReciprocalSpaceForceGroup()
+    return mask
+
+
 def points(system: openmm.System) -> BodySet:
     """Return the massive atoms of a System, each a body of its own."""
     masses = tables.masses(system)
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
     point = np.zeros((3, 1))
     return BodySet([Species.from_sites(atoms, np.array([mass]), point) for mass, atoms in kinds], len(masses))
+
+
+def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> bool:
+    """Return whether to look at positions before each force.
+
+    The Reference platform computes forces even at positions that are not finite. Its PME writes outside of its mesh
+    there, which may end the process.
+    """
+    return platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
