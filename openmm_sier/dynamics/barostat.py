@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import BodySet, molecule_of_atoms
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.noise import generator
 
@@ -163,3 +163,16 @@ def _different(molecules: np.ndarray) -> np.ndarray:
     """Return pairs of molecules that bodies join, from the molecules of their atoms, (m, k)."""
     pairs = np.stack([np.broadcast_to(molecules[:, :1], molecules.shape), molecules], axis=-1).reshape(-1, 2)
     return pairs[pairs[:, 0] != pairs[:, 1]]
+
+
+def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
+    """Return the molecule index of each particle, (N,).
+
+    Args:
+        molecules: particle indices of each molecule, as returned by `Context.getMolecules()`.
+        n_particles: number of particles of the system.
+    """
+    numbers = np.zeros(n_particles, dtype=int)
+    for number, atoms in enumerate(molecules):
+        numbers[list(atoms)] = number
+    return numbers

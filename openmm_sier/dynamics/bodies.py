@@ -47,19 +47,6 @@ class NotFiniteError(ValueError):
         super().__init__(f"the {self.what} is not finite")
 
 
-def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
-    """Return the molecule index of each particle, (N,).
-
-    Args:
-        molecules: particle indices of each molecule, as returned by `Context.getMolecules()`.
-        n_particles: number of particles of the system.
-    """
-    numbers = np.zeros(n_particles, dtype=int)
-    for number, atoms in enumerate(molecules):
-        numbers[list(atoms)] = number
-    return numbers
-
-
 class BodySet(Inertia):
     """Rigid and point bodies of a system, and the constraints between them.
 

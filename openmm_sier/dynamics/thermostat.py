@@ -1,9 +1,10 @@
 """The heat bath within steps: the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.friction import Friction, frictions_of, refuse_uneven_friction
 from openmm_sier.dynamics.operators import Operator
 from openmm_sier.dynamics.tally import Tally
+
+#: Arguments of a kernel that depend on the time, ps.
+Arguments = Callable[[float], tuple[Any, ...]]
 
 
 @dataclass(frozen=True)
@@ -76,53 +80,42 @@ class OrnsteinUhlenbeck:
             bodies: bodies on which it acts.
             tally: source of random numbers, which counts heat and draws.
         """
-        shared = self.shared_frictions
-        return self._by_axes(bodies, tally) if shared is None else self._alike(*shared, bodies, tally)
+        shared, inverses = self.shared_frictions, (bodies.inverse_masses, bodies.inverse_moments)
+        if shared is None:
+            kernel, arguments = kernels.bodies.bathe_by_axes, self._arguments_by_axes(bodies)
+        else:
+            kernel, arguments = kernels.bodies.bathe, self._shared_arguments(*shared, bodies)
 
-    def _alike(self, friction: float, rotational_friction: float, bodies: BodySet, tally: Tally) -> Operator:
-        """Return the operator for frictions that all bodies share."""
+        def apply(state: BodyState, h: float) -> BodyState:
+            noise = tally.noise().standard_normal((6, bodies.n))
+            p, L = np.empty(state.p.shape), np.empty(state.L.shape)
+            gain = kernel(bodies.n, state.p, state.A, state.L, *arguments(h), noise, *inverses, p, L)
+            tally.draws += 1
+            tally.heat += gain
+            return BodyState(state.q, p, state.A, L, state.cache)
+
+        return apply
+
+    def _shared_arguments(self, friction: float, rotational_friction: float, bodies: BodySet) -> Arguments:
+        """Return those of a kernel for frictions that all bodies share: factors of momenta, and widths of noise."""
         thermal = GAS_CONSTANT * self.temperature
         spreads = np.sqrt(thermal * bodies.moving_masses), np.sqrt(thermal * bodies.moments * bodies.turns)
-        inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
-        def factors(h: float) -> tuple[tuple[float, float], np.ndarray]:
-            """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
+        def arguments(h: float) -> tuple[Any, ...]:
             damping, width = decay(friction, h)
             rotational_damping, rotational_width = decay(rotational_friction, h)
-            return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
+            widths = np.concatenate([width * spreads[0], rotational_width * spreads[1]])
+            return damping, rotational_damping, widths
 
-        def apply(state: BodyState, h: float) -> BodyState:
-            noise = tally.noise().standard_normal((6, bodies.n))
-            damping, widths = factors(h)
-            p, L = np.empty(state.p.shape), np.empty(state.L.shape)
-            moving = state.p, state.A, state.L
-            gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
-            tally.draws += 1
-            tally.heat += gain
-            return BodyState(state.q, p, state.A, L, state.cache)
+        return arguments
 
-        return apply
-
-    def _by_axes(self, bodies: BodySet, tally: Tally) -> Operator:
-        """Return the operator for frictions along and about the axes of each body."""
-        frictions = self.frictions(bodies)
+    def _arguments_by_axes(self, bodies: BodySet) -> Arguments:
+        """Return those of a kernel for frictions along and about the axes of each body."""
         thermal = GAS_CONSTANT * self.temperature
         spreads = np.sqrt(thermal * np.concatenate([bodies.masses[None], bodies.moments * bodies.turns]))
-        inverses = bodies.inverse_masses, bodies.inverse_moments
-
-        def apply(state: BodyState, h: float) -> BodyState:
-            noise = tally.noise().standard_normal((6, bodies.n))
-            p = np.empty(state.p.shape)
-            L = np.empty(state.L.shape)
-            moving = state.p, state.A, state.L
-            tables = frictions, spreads, bodies.translates, noise
-            gain = kernels.bodies.bathe_by_axes(bodies.n, *moving, abs(h), *tables, *inverses, p, L)
-            tally.draws += 1
-            tally.heat += gain
-            return BodyState(state.q, p, state.A, L, state.cache)
-
-        return apply
+        frictions, translates = self.frictions(bodies), bodies.translates
+        return lambda h: (abs(h), frictions, spreads, translates)
 
 
 def decay(friction: float, h: float) -> tuple[float, float]:

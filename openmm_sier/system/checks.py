@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodySet, RigidityError, molecule_of_atoms
+from openmm_sier.dynamics.barostat import molecule_of_atoms
+from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of

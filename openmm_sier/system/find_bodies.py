@@ -7,7 +7,6 @@ from itertools import chain, combinations
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
@@ -21,7 +20,6 @@ from openmm_sier.system.arguments import (
     checked_clusters,
     checked_positions,
     checked_system,
-    quantity_to_float,
 )
 from openmm_sier.system.body_types import BodyType
 from openmm_sier.system.cut_molecules import Wholeness
@@ -157,7 +155,7 @@ class BodyPlan:
     ):
         self._typed = tuple(typed)
         self._warns = tolerance is None
-        self._tolerance = geometries.TOLERANCE if tolerance is None else _checked_tolerance(tolerance)
+        self._tolerance = geometries.TOLERANCE if tolerance is None else geometries.checked_tolerance(tolerance)
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
@@ -322,19 +320,6 @@ def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamic
 def _formed_by_constraints(system: openmm.System) -> RigidBodies:
     """Return the bodies that the constraints of a System form."""
     return BodyPlan(system).bodies()
-
-
-def _checked_tolerance(tolerance: Quantity) -> float:
-    """Return a tolerance in nm, not below rounding.
-
-    Raises:
-        ValueError: it is negative.
-        TypeError: it is not a length.
-    """
-    distance = quantity_to_float("tolerance", tolerance, unit.nanometer, "nm")
-    if distance < 0:
-        raise ValueError(f"tolerance must not be negative, got {distance:g} nm")
-    return max(distance, geometries.ROUNDING)
 
 
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.species import Species
+from openmm_sier.system.arguments import Quantity, quantity_to_float
 
 #: Largest error of a constraint in the geometry defined by all constraints of a cluster, nm.
 EMBEDDING_TOLERANCE = 1e-4
@@ -296,3 +298,16 @@ def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
 def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Return positions (m, k, 3) relative to the centres of mass."""
     return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]
+
+
+def checked_tolerance(tolerance: Quantity) -> float:
+    """Return a tolerance in nm, not below rounding.
+
+    Raises:
+        ValueError: it is negative.
+        TypeError: it is not a length.
+    """
+    distance = quantity_to_float("tolerance", tolerance, unit.nanometer, "nm")
+    if distance < 0:
+        raise ValueError(f"tolerance must not be negative, got {distance:g} nm")
+    return max(distance, ROUNDING)

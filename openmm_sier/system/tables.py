@@ -193,7 +193,7 @@ def constraints(system: openmm.System) -> Constraints:
 
     Raises:
         openmm.OpenMMException: a constraint has a particle that does not exist, of which OpenMM speaks only when a
-            Context is made.
+            Context is made, or a length that is not positive, of which it never speaks.
     """
     table = numeric_rows(system, "getConstraintParameters", system.getNumConstraints(), 3)
     pairs, lengths = np.sort(table[:, :2].astype(np.int64), axis=1), table[:, 2]
@@ -207,6 +207,9 @@ def constraints(system: openmm.System) -> Constraints:
         )
     acting = (masses(system)[pairs] > 0).all(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
+    if not (sensible := (lengths > 0) & (lengths < np.inf)).all():
+        (i, j), length = pairs[sensible.argmin()], lengths[sensible.argmin()]
+        raise openmm.OpenMMException(f"The constraint of atoms {i} and {j} has a length of {length:g} nm, not above 0")
     distinct = first_of_each(pairs)
     return Constraints(pairs[distinct], lengths[distinct])
 

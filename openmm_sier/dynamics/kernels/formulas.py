@@ -1,13 +1,18 @@
-"""Formulas for one body, to be inlined into kernels."""
+"""Formulas for one body, of which most are inlined into kernels."""
+
+import math
 
 from openmm_sier.dynamics import vectors
-from openmm_sier.dynamics.kernels.compilation import inlined
+from openmm_sier.dynamics.kernels.compilation import called, inlined
 
 #: Largest angle of `small_sine_cosine`, up to which its truncation error is below 2e-17.
 SMALL_ANGLE = 0.75
 
 #: A determinant of moments of inertia below this share of the cube of half their sum is that of points on a line.
 LINE = 1e-8
+
+#: The axes of the lab.
+LAB = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 plus = inlined(vectors.plus)
 combine = inlined(vectors.combine)
@@ -69,3 +74,42 @@ def spin(moments, torque):
         cc * torque[0] + ee * torque[1] + ff * torque[2],
     )
     return acceleration, a * aa + b * bb + c * cc, xx + yy + zz
+
+
+@called
+def decay(rate, h):
+    """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
+    return math.exp(-rate * h), math.sqrt(-math.expm1(-2 * rate * h))
+
+
+@called
+def friction_directions(axes, rates, moves):
+    """Return orthonormal directions along which momenta decay independently of each other, and their rates.
+
+    For a body that moves along all axes of the lab these are its principal axes. For others they are the eigenvectors
+    of the friction tensor in the plane, or on the line, along which the body moves, and a direction without friction.
+
+    Args:
+        axes: rows of the attitude.
+        rates: of friction along the principal axes.
+        moves: whether the body moves along x, y and z.
+    """
+    if moves[0] and moves[1] and moves[2]:
+        return axes, rates
+    held = 0
+    while moves[held]:
+        held += 1
+    j, k = (held + 1) % 3, (held + 2) % 3
+    jj, kk, jk = 0.0, 0.0, 0.0
+    for i in range(3):
+        along_j, along_k = axes[i][j] * moves[j], axes[i][k] * moves[k]
+        jj += rates[i] * along_j * along_j
+        kk += rates[i] * along_k * along_k
+        jk += rates[i] * along_j * along_k
+    angle = 0.5 * math.atan2(2 * jk, jj - kk)
+    mean, half = 0.5 * (jj + kk), math.hypot(0.5 * (jj - kk), jk)
+    c, s = math.cos(angle), math.sin(angle)
+    e, f = LAB[j], LAB[k]
+    first = c * e[0] + s * f[0], c * e[1] + s * f[1], c * e[2] + s * f[2]
+    second = c * f[0] - s * e[0], c * f[1] - s * e[1], c * f[2] - s * e[2]
+    return (first, second, LAB[held]), (mean + half, max(mean - half, 0.0), 0.0)
