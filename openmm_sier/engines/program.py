@@ -38,11 +38,6 @@ class ForceTerm(NamedTuple):
     sign: str = "+"
     is_slow: bool = False
 
-    @property
-    def is_of_group(self) -> bool:
-        """Return whether it is the force of one group."""
-        return self.name != ALL_GROUPS
-
 
 class Statement(NamedTuple):
     """One computation.

@@ -9,7 +9,7 @@ import secrets
 import weakref
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any
 
@@ -113,7 +113,8 @@ class BodyActions(Actions):
         if self._holds_all_bodies():
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
-        start, forces = engine.state(), self._forces.of_all_groups
+        start, groups = engine.state(), self._context.getIntegrator().getIntegrationForceGroups()
+        forces = partial(self._forces.compute, groups=groups)
         handlers = interrupts.defer()
 
         def call_handlers() -> None:

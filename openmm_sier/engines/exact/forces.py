@@ -108,10 +108,6 @@ class BodyForces:
             self.bodies.bearings.remove(F, tau, A)
         return F, tau
 
-    def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> Pair:
-        """Return forces and torques on bodies at (q, A), each (3, n), including fast forces."""
-        return self.compute(q, A, self._groups)
-
     def with_energy(self, state: BodyState) -> BodyState:
         """Return a state whose energy is in its cache, with the slow forces, which were computed at once."""
         cache = state.cache

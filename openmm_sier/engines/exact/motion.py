@@ -52,9 +52,12 @@ class MotionOperators:
         groups = _flexible_points(bodies)
         working = _working_forces(context.getSystem(), bodies, fast)
         touched = _touched(bodies, working)
-        self.fast_context = _fast_context(context, bodies.restricted(touched), working) if working.forces else None
         self._table = _table(bodies, forces, rotation, groups)
-        if self.fast_context is not None:
+        self.fast_context: FastForceContext | None = None
+        if working.forces:
+            platform = _platform_of_fast_forces(context, len(working.particles))
+            self.fast_context = FastForceContext(working, bodies.restricted(touched), *platform)
+            self.follow(context)
             within = _table(self.fast_context.bodies, self.fast_context, rotation, groups[touched])
             others = bodies.constraints.without(touched)
             drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
@@ -113,13 +116,6 @@ def _touched(bodies: BodySet, working: WorkingForces) -> np.ndarray:
     touched[bodies.owners[working.particles]] = True
     groups = bodies.constraints.groups
     return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
-
-
-def _fast_context(context: openmm.Context, bodies: BodySet, working: WorkingForces) -> FastForceContext:
-    """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
-    fast_context = FastForceContext(working, bodies, *_platform_of_fast_forces(context, len(working.particles)))
-    fast_context.follow(context)
-    return fast_context
 
 
 def _flexible_points(bodies: BodySet) -> np.ndarray:

@@ -15,6 +15,7 @@ from openmm_sier.engines.native import trial_program, trial_variables
 from openmm_sier.engines.native.program import NEVER
 from openmm_sier.engines.native.statements import FRICTION, THERMAL
 from openmm_sier.engines.program import (
+    ALL_GROUPS,
     CONSTRAIN_V,
     CONSTRAIN_X,
     TRIAL_VECTORS,
@@ -117,7 +118,8 @@ def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> No
     OpenMM computes what uses no force together with what uses the next force, and statements after the last one alone,
     in kernels of their own.
     """
-    used = [term.name for statement in program.statements if (term := statement.force) is not None and term.is_of_group]
+    used = [term.name for statement in program.statements if (term := statement.force) is not None]
+    used = [name for name in used if name != ALL_GROUPS]
     if used:
         integrator.beginIfBlock(f"{PART} = {NEVER}")
         integrator.addComputePerDof("v", f"v + {used[-1]}/m")

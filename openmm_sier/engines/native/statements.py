@@ -102,9 +102,15 @@ class Statements:
         if self.bath is None:
             raise ValueError(f"OpenMM cannot execute the operation '{operation}' in a CustomIntegrator")
         velocity = self.bath.velocity(f"{operation.fraction!r}*{step}", FRICTION, THERMAL)
+        drawn = Statement("v", velocity)
         if self.bath_divides_drift:
-            return [_bath_in_drift(velocity, keeps=bool(self.fast))]
-        return [_bath(velocity, self.counts_heat)]
+            # Temperatures are those of the velocities after it.
+            return [Line("bath", (drawn, Statement(V0, "v")) if self.fast else (drawn,))]
+        if not self.counts_heat:
+            # The drift that follows takes away what velocities have along the constraints.
+            return [Line("bath", (drawn,))]
+        constrain = Statement(CONSTRAIN_V)
+        return [Line("bath", (constrain, Statement(V0, "v"), drawn, constrain, GAINED))]
 
     def _projection(self, lines: list[Line]) -> list[Line]:
         """Constrain velocities, unless the lines before have done so or the engine will."""
@@ -191,22 +197,6 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
         Statement("v", f"{V0} + {time}*v"),
     )
     return [Line("displace", displace), Line("kick from there", kick)]
-
-
-def _bath_in_drift(velocity: str, keeps: bool) -> Line:
-    """Write a bath in the middle of a drift; `keeps` keeps velocities after it as `V0`, for temperatures."""
-    return Line("bath", (Statement("v", velocity), *([Statement(V0, "v")] if keeps else [])))
-
-
-def _bath(velocity: str, counts_heat: bool) -> Line:
-    """Write a bath. Where its heat is counted, velocities are constrained before and after it.
-
-    Otherwise the drift that follows takes away what they have along the constraints.
-    """
-    drawn = Statement("v", velocity)
-    if not counts_heat:
-        return Line("bath", (drawn,))
-    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
 
 
 def _leaves_constrained(line: Line) -> bool:

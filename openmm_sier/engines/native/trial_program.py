@@ -103,16 +103,15 @@ def _with_energies(program: Program, statements: list[Executed]) -> list[Execute
     ending: list[Executed | str] = [*statements]
     for energy in energies(program):
         name = energy.replace("energy", "f")
-        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and _uses(each[0], name))
+        places = (
+            i
+            for i, each in enumerate(ending)
+            if not isinstance(each, str) and each[0].force is not None and each[0].force.name == name
+        )
         ending.insert(next(places, len(ending)), energy)
     # Statements without a force can be computed with those of the first force, after its energy.
     first = next(i for i, each in enumerate(ending) if isinstance(each, str))
     return [ending[first], *ending[:first], *ending[first + 1 :]]
-
-
-def _uses(statement: Statement, name: str) -> bool:
-    """Return whether a statement uses a force by its name in OpenMM's syntax."""
-    return statement.force is not None and statement.force.name == name
 
 
 class Writer:
