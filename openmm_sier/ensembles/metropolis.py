@@ -136,13 +136,13 @@ class Metropolis(ConstantTemperature):
         tally, method, kT = engine.tally, engine.method, GAS_CONSTANT * self.temperature
         kept = 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * method.step)
         centre, kinetic, threshold = np.zeros(3), 0.0, 0.0
-        if _moves(engine):
+        freedoms = engine.degrees_of_freedom(conserved=False)
+        if method.step > 0 and freedoms > 0:
             mass = engine.moving.moving_mass
             if engine.removes_momentum:
                 thermal = np.sqrt(np.divide(kT, mass, out=np.zeros(3), where=mass > 0))
                 centre = thermal * tally.noise(stream=3).standard_normal(3)
             before = (engine.kinetic_energy() + 0.5 * float(mass @ centre**2)) / (0.5 * kT)
-            freedoms = engine.degrees_of_freedom(conserved=False)
             kinetic = 0.5 * kT * over_relaxed(before, freedoms, tally.noise(stream=5))
             threshold = largest_error(tally.seed, tally.draws + 1)
         return Trial(self.steps_per_trial, self._chances(method), kept, kT, kinetic, threshold, centre)
@@ -172,8 +172,9 @@ class Metropolis(ConstantTemperature):
         refuse_energy(engine.potential_energy(), engine.clock)
         sample = engine.save()
         try:
-            if _moves(engine):
-                draw_start(engine, self._trial(engine))
+            trial = self._trial(engine)
+            if trial.kinetic_energy:
+                draw_start(engine, trial)
             last = 1 if engine.precision == "single" else 1 + self._chances(engine.method)
             # Later ends need not exist, for example where atoms leave a potential that ends.
             for steps in (self.steps_per_trial * last, self.steps_per_trial):
@@ -188,11 +189,6 @@ class Metropolis(ConstantTemperature):
         if not error <= allowed:
             raise openmm.OpenMMException(_misses(steps, error, allowed, engine.precision))
         return {REVERSAL: error, CHECKED_STEP: step}
-
-
-def _moves(engine: Engine) -> bool:
-    """Return whether anything moves in a trial."""
-    return engine.method.step > 0 and engine.degrees_of_freedom(conserved=False) > 0
 
 
 def _misses(steps: int, error: float, allowed: float, precision: str | None) -> str:
