@@ -7,8 +7,10 @@ import openmm
 import pytest
 from openmm import unit
 
+from openmm_sier import SIERIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds
+from tests.support.waters import platform
 
 
 @pytest.fixture
@@ -54,6 +56,20 @@ def test_tables_have_the_numbers_of_openmm(system):
     assert tables.frozen_atoms(system).tolist() == [9]
     # Repeated ones count once, where they are first.
     assert tables.constraints(system).pairs.tolist() == [[1, 3], [0, 2], [4, 5]]
+
+
+@pytest.mark.parametrize("length", [-0.1, 0.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_a_constraint_without_a_positive_length_is_refused(engine, length):
+    """Within a body as between points. OpenMM takes the square of a length and accepts all of these."""
+    rigid, points = openmm.System(), openmm.System()
+    for system, pairs in ((rigid, combinations(range(3), 2)), (points, [(0, 1), (1, 2)])):
+        for mass in (16.0, 1.0, 1.0):
+            system.addParticle(mass)
+        for i, j in pairs:
+            system.addConstraint(i, j, length if (i, j) == (0, 1) else 0.1)
+        with pytest.raises(openmm.OpenMMException, match=r"atoms 0 and 1 has a length of .* nm, not above 0"):
+            openmm.Context(system, SIERIntegrator(0.001, engine=engine), platform())
 
 
 def test_a_system_is_read_once_and_nobody_writes_to_its_tables(system):
