@@ -23,3 +23,16 @@ def test_imports_are_lean(code, absent):
     )
     result = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.split()
     assert result == []
+
+
+@pytest.mark.parametrize("question", ["--version", "--help"])
+def test_a_question_about_the_command_does_not_wait_for_openmm(question):
+    check = (
+        "import sys\nimport openmm_sier_command\n"
+        f"sys.argv = ['openmm-sier', '{question}']\n"
+        "try:\n    openmm_sier_command.main()\n"
+        "finally:\n    print(*sorted({'openmm', 'numba', 'scipy', 'mdtraj', 'numpy'} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout
+    assert "openmm-sier" in result
+    assert result.endswith("\n\n")

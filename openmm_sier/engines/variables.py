@@ -33,9 +33,23 @@ def report_hidden_kinetic_energy(integrator: openmm.CustomIntegrator) -> None:
     integrator.setKineticEnergyExpression(f"m*v*v/2 + {HIDDEN_KINETIC}")
 
 
-def per_atom_values(integrator: openmm.CustomIntegrator, name: str) -> np.ndarray:
-    """Return a per-atom variable of an integrator, (N, 3)."""
-    return vectors_to_array(integrator.getPerDofVariableByName(name))
+def per_atom_values(context: openmm.Context, *names: str) -> np.ndarray:
+    """Return per-atom variables of the integrator of a Context, (number of names, N, 3).
+
+    OpenMM gives lists of objects, which take as long as a force for two variables of a large System. A checkpoint ends
+    with the numbers: those of the global variables, then those of the per-atom ones.
+    """
+    integrator = context.getIntegrator()
+    checkpoint = openmm.Context.createCheckpoint(context)
+    shape = integrator.getNumPerDofVariables(), context.getSystem().getNumParticles(), 3
+    start = len(checkpoint) - 8 * math.prod(shape)
+    values = [integrator.getGlobalVariable(i) for i in range(integrator.getNumGlobalVariables())]
+    if not checkpoint[:start].endswith(np.array(values).tobytes()):
+        # Another version of OpenMM may write something else.
+        return np.array([vectors_to_array(integrator.getPerDofVariableByName(name)) for name in names])
+    stored = np.frombuffer(checkpoint, offset=start).reshape(shape)
+    numbers = {integrator.getPerDofVariableName(i): i for i in range(shape[0])}
+    return stored[[numbers[name] for name in names]]
 
 
 def names_of(tally: Tally) -> tuple[str, ...]:

@@ -84,10 +84,10 @@ class SIERContext(openmm.Context):
         return checkpoint
 
     def loadCheckpoint(self, checkpoint: bytes) -> None:
-        load_checkpoint(self.impl, functools.partial(super().loadCheckpoint, checkpoint))
+        load_checkpoint(self, self.impl, functools.partial(super().loadCheckpoint, checkpoint))
 
     def setState(self, state: openmm.State) -> None:
-        set_state(self.impl, functools.partial(self._set_state, state), _has_parameters(state))
+        set_state(self, self.impl, functools.partial(self._set_state, state), _has_parameters(state))
 
     def _set_state(self, state: openmm.State) -> None:
         """Set a State; of one of another kind of integrator, all but the parameters of the integrator."""

@@ -39,32 +39,35 @@ def store(impl: IntegratorImpl) -> None:
     impl.set_program_variables()
 
 
-def take_over(impl: IntegratorImpl) -> None:
+def take_over(context: openmm.Context, impl: IntegratorImpl) -> None:
     """Take over a State or checkpoint that was loaded, of either engine.
 
     The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
     """
     load_tally(impl.integrator, impl.tally)
-    impl.tally.heat += installation.take_heat(impl.integrator)
+    impl.tally.heat += installation.take_heat(context)
     impl.set_program_variables()
     impl.session.changed(Changes.VARIABLES | Changes.ATOMS)
 
 
-def load_checkpoint(impl: IntegratorImpl, load: Callable[[], None]) -> None:
+def load_checkpoint(context: openmm.Context, impl: IntegratorImpl, load: Callable[[], None]) -> None:
     """Call a function that loads a checkpoint, and take over what it holds."""
     # OpenMM loads a checkpoint in parts, of which the last may be damaged.
     with impl.session.changing(Changes.ATOMS):
         load()
-    take_over(impl)
+    take_over(context, impl)
 
 
-def set_state(impl: IntegratorImpl, set_in_context: Callable[[], None], has_parameters: bool) -> None:
+def set_state(
+    context: openmm.Context, impl: IntegratorImpl, set_in_context: Callable[[], None], has_parameters: bool
+) -> None:
     """Call a function that sets a State, and take over what the State holds, except its seed and its used noise.
 
     Runs with different seeds from one State differ, and so do replicas that share a Context.
 
     Args:
-        impl: the Python part of the integrator.
+        context: the Context.
+        impl: the Python part of its integrator.
         set_in_context: sets the State in the Context.
         has_parameters: whether the State has those of an integrator. If so, warn once where the noise goes on
             differently than in the run that wrote the State.
@@ -79,7 +82,7 @@ def set_state(impl: IntegratorImpl, set_in_context: Callable[[], None], has_para
         set_in_context()
     if not has_parameters:
         return
-    take_over(impl)
+    take_over(context, impl)
     tally.seed = seed
     tally.draws = max(draws, tally.draws)
     if not impl.has_warned_of_noise:

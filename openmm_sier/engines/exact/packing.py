@@ -35,12 +35,6 @@ class Packing:
             start += count
             self._runs.append((slice(first, start), size == 1))
 
-    @property
-    def variables(self) -> int:
-        """Number of vectors for each atom that are not zero for all."""
-        sizes = [(1 if is_point else 3) * 6 * (part.stop - part.start) for part, is_point in self._runs]
-        return -(-sum(sizes) // max(1, 3 * self.bodies.n_particles))
-
     def pack(self, state: BodyState) -> np.ndarray:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
         values = np.zeros((3, self.bodies.n_particles, 3))
@@ -89,7 +83,8 @@ class StoredPoint:
     """
 
     def __init__(self, context: openmm.Context, bodies: BodySet):
-        self._integrator = weakref.proxy(context.getIntegrator())
+        # The Context owns its integrator and so all this.
+        self._context = weakref.proxy(context)
         self._packing = Packing(bodies)
         #: Whether the platform rounds what is written, so that it must be read again.
         self._is_rounded = not is_on_host(context.getPlatform())
@@ -99,8 +94,9 @@ class StoredPoint:
 
     def write(self, point: BodyState) -> None:
         """Set the variables to a phase point."""
+        integrator = self._context.getIntegrator()
         for name, values in zip(STATE_VARIABLES, self._packing.pack(point), strict=True):
-            self._integrator.setPerDofVariableByName(name, values)
+            integrator.setPerDofVariableByName(name, values)
         self.is_outdated = False
         self._point = point
 
@@ -118,10 +114,7 @@ class StoredPoint:
         return self._point
 
     def _read(self) -> BodyState | None:
-        # One after the other: OpenMM gives lists of objects, which take much memory. The last one is seldom needed.
-        values = np.zeros((len(STATE_VARIABLES), self._packing.bodies.n_particles, 3))
-        for row, name in zip(values, STATE_VARIABLES[: self._packing.variables], strict=False):
-            row[:] = per_atom_values(self._integrator, name)
+        values = per_atom_values(self._context, *STATE_VARIABLES)
         if not values.any() or not np.isfinite(values).all():
             return None
         return self._packing.unpack(values)

@@ -156,7 +156,8 @@ class AtomVerbs(Engine):
 
     def _bathed_velocities(self) -> np.ndarray:
         """Return the velocities that the last step kept just after its bath, (N, 3), nm/ps."""
-        return per_atom_values(self._integrator, V0)
+        (velocities,) = per_atom_values(self._context, V0)
+        return velocities
 
     def degrees_of_freedom(self, conserved: bool) -> float:
         return self._reported.degrees_of_freedom(conserved)
@@ -167,5 +168,5 @@ class AtomVerbs(Engine):
             return math.nan
         heat = self.tally.heat
         if WORK in self._program.vectors:
-            heat += float(np.sum(per_atom_values(self._integrator, WORK)))
+            heat += float(np.sum(per_atom_values(self._context, WORK)))
         return heat

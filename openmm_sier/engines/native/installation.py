@@ -193,11 +193,12 @@ def step_of(integrator: openmm.CustomIntegrator) -> float:
     return native_step * (integrator.getGlobalVariableByName(PARTS) or 1)
 
 
-def take_heat(integrator: openmm.CustomIntegrator) -> float:
-    """Return the heat that a program has counted, kJ/mol, and set its count to zero."""
+def take_heat(context: openmm.Context) -> float:
+    """Return the heat that the program of a Context's integrator has counted, kJ/mol, and set its count to zero."""
+    integrator = context.getIntegrator()
     if WORK not in vectors_of(integrator):
         return 0.0
-    work = per_atom_values(integrator, WORK)
+    (work,) = per_atom_values(context, WORK)
     integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
     return float(work.sum())
 

@@ -125,7 +125,7 @@ class TrialEngine(NativeEngine):
         return trial_variables.execute(self._integrator, trial)
 
     def _restore_start(self, reverse: bool) -> None:
-        positions, velocities = trial_variables.start_of(self._integrator)
+        positions, velocities = trial_variables.start_of(self._context)
         is_massive = self._atoms.masses[:, None] > 0
         self._atoms.write_positions(np.where(is_massive, positions, self._atoms.positions))
         self._write_velocities(-velocities if reverse else velocities)

@@ -80,7 +80,7 @@ def followed(steps: int) -> Trial:
     return Trial(steps, 0, kept=1.0, kT=1.0, kinetic_energy=0.0, threshold=INFINITE, centre=np.zeros(3))
 
 
-def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
+def start_of(context: openmm.Context) -> tuple[np.ndarray, np.ndarray]:
     """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
-    positions, velocities = (per_atom_values(integrator, name) for name in TRIAL_VECTORS)
+    positions, velocities = per_atom_values(context, *TRIAL_VECTORS)
     return positions, velocities
