@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 from cyclopts.validators import Number
@@ -12,9 +12,9 @@ from pydantic import ValidationError
 
 from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.errors import Misused
-from openmm_sier.cli.fields import Options, options, refusal
+from openmm_sier.cli.fields import refusal
 from openmm_sier.cli.many.seeds import read_seeds
-from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
+from openmm_sier.cli.settings import InputSettings, RunSettings, TrialSettings
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
 from openmm_sier.version import __version__
@@ -29,15 +29,6 @@ EXIT_CODES = """Exit codes:
 - 129, 130, 143: ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint
   included, and --restart continues the run
 """
-
-#: Settings of a run as options, all optional.
-if TYPE_CHECKING:
-    OfRun = Options
-    OfTuning = Options
-    OfInfo = Options
-else:
-    OfRun, OfTuning, OfInfo = (options(RunSettings, names) for names in (SETTINGS, OF_TUNING, OF_INFO))
-NOTHING = Options()
 
 #: The fields of a model are options of the command.
 FLAT = Parameter(name="*")
@@ -66,7 +57,7 @@ app = App(
 
 @app.command(help_epilogue=EXIT_CODES)
 def run(
-    options: Annotated[OfRun, FLAT] = NOTHING,
+    settings: Annotated[RunSettings, FLAT] = RunSettings(),
     *,
     config: Annotated[
         Path | None,
@@ -98,7 +89,7 @@ def run(
     """
     from openmm_sier.cli import run as command
 
-    command.execute(options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
+    command.execute(settings, config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 
 
 @app.command
@@ -148,7 +139,7 @@ def setup(
 
 @app.command
 def tune(
-    options: Annotated[OfTuning, FLAT] = NOTHING,
+    settings: Annotated[TrialSettings, FLAT] = TrialSettings(),
     *,
     acceptance: Annotated[
         float | None,
@@ -166,7 +157,7 @@ def tune(
     """
     from openmm_sier.cli import tune as command
 
-    command.execute(options.chosen(), acceptance=acceptance, trials=trials)
+    command.execute(settings, acceptance, trials)
 
 
 @app.command
@@ -206,14 +197,14 @@ def summary(
 
 
 @app.command
-def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) -> None:
+def info(settings: Annotated[InputSettings, FLAT] = InputSettings(), *, debug: Debug = False) -> None:
     """List the rigid bodies of the input.
 
     Show the kinds of rigid body that coordinates have, with a force field or a topology.
     """
     from openmm_sier.cli import info as command
 
-    command.execute(options.chosen())
+    command.execute(settings)
 
 
 class Call(NamedTuple):
@@ -258,12 +249,12 @@ def _described(error: CycloptsError) -> str:
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
 
 
-def options_of(line: Sequence[str]) -> dict[str, Any]:
-    """Return the options in a command line of `run`, by name.
+def settings_of(line: Sequence[str]) -> RunSettings:
+    """Return the settings in a command line of `run`.
 
     Raises:
         CycloptsError: arguments are wrong.
     """
     _, bound, _ = app.parse_args(list(line), exit_on_error=False, print_error=False)
-    chosen: dict[str, Any] = bound.arguments["options"].chosen()
-    return chosen
+    settings: RunSettings = bound.arguments["settings"]
+    return settings
