@@ -15,14 +15,7 @@ from openmm_sier.cli.defaults import steps_in
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import refusal
 from openmm_sier.cli.methods import METHODS
-from openmm_sier.cli.settings import (
-    CONTINUED,
-    FILES,
-    NOTED,
-    OF_THE_SYSTEM,
-    InputSettings,
-    RunSettings,
-)
+from openmm_sier.cli.settings import CONTINUED, FILES, NOTED, OF_THE_SYSTEM, InputSettings, RunSettings
 from openmm_sier.inputs.forcefields import foreign_files, pick
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
 from openmm_sier.inputs.pdb_files import ForceFieldError
