@@ -216,7 +216,7 @@ def test_a_picture_that_is_not_theirs_is_refused(box, capsys):
     Path("a.png").write_bytes(b"mine")
     before = contents(Path())
     message = complaint(capsys, "run", box, "--out", "a.dcd", "--seeds", "1-2", "--steps", "1", "--plot", "a.png")
-    assert "a.png exists: give another name, or replace it with --overwrite" in message
+    assert "a.png exists" in message
     assert contents(Path()) == before
 
 
