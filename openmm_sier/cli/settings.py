@@ -45,7 +45,7 @@ class InputSettings(BaseModel):
         "in XML",
         FILE,
         Path("BOX"),
-        otherwise="that of the checkpoint with --restart",
+        otherwise="none; that of the checkpoint with `run --restart`",
         restart="may change",
         positional=True,
     )
