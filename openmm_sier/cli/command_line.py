@@ -1,9 +1,11 @@
 """Read a command line. The module of commands, whose options need OpenMM, is imported for one of them."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 from pydantic import ValidationError
@@ -13,6 +15,9 @@ from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.fields import refusal
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.version import __version__
+
+if TYPE_CHECKING:
+    from openmm_sier.cli.settings import RunSettings
 
 #: What the help of each command says, by name: its first line is in the list of commands.
 DESCRIPTIONS = {
@@ -114,12 +119,12 @@ def _described(error: CycloptsError) -> str:
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
 
 
-def options_of(line: Sequence[str]) -> dict[str, Any]:
-    """Return the options in a command line of `run`, by name.
+def settings_of(line: Sequence[str]) -> RunSettings:
+    """Return the settings in a command line of `run`.
 
     Raises:
         CycloptsError: arguments are wrong.
     """
     _, bound, _ = app.parse_args(list(line), exit_on_error=False, print_error=False)
-    chosen: dict[str, Any] = bound.arguments["options"].chosen()
-    return chosen
+    settings: RunSettings = bound.arguments["settings"]
+    return settings

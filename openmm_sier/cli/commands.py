@@ -1,24 +1,14 @@
 """The commands of `openmm-sier` with their options. `command_line.py` describes them."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from openmm_sier.cli.fields import Options, options
 from openmm_sier.cli.many.seeds import read_seeds
-from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
+from openmm_sier.cli.settings import InputSettings, RunSettings, TrialSettings
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
-
-#: Settings of a run as options, all optional.
-if TYPE_CHECKING:
-    OfRun = Options
-    OfTuning = Options
-    OfInfo = Options
-else:
-    OfRun, OfTuning, OfInfo = (options(RunSettings, names) for names in (SETTINGS, OF_TUNING, OF_INFO))
-NOTHING = Options()
 
 #: The fields of a model are options of the command.
 FLAT = Parameter(name="*")
@@ -33,7 +23,7 @@ def _in_words(default: str, of: str, **limits: Any) -> Parameter:
 
 
 def run(
-    options: Annotated[OfRun, FLAT] = NOTHING,
+    settings: Annotated[RunSettings, FLAT] = RunSettings(),
     *,
     config: Annotated[
         Path | None,
@@ -58,7 +48,7 @@ def run(
 ) -> None:
     from openmm_sier.cli import run as command
 
-    command.execute(options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
+    command.execute(settings, config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 
 
 def setup(
@@ -101,7 +91,7 @@ def setup(
 
 
 def tune(
-    options: Annotated[OfTuning, FLAT] = NOTHING,
+    settings: Annotated[TrialSettings, FLAT] = TrialSettings(),
     *,
     acceptance: Annotated[
         float | None,
@@ -114,7 +104,7 @@ def tune(
 ) -> None:
     from openmm_sier.cli import tune as command
 
-    command.execute(options.chosen(), acceptance=acceptance, trials=trials)
+    command.execute(settings, acceptance, trials)
 
 
 def summary(
@@ -145,7 +135,7 @@ def summary(
     command.execute(logs, json, plot, skip, overwrite)
 
 
-def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) -> None:
+def info(settings: Annotated[InputSettings, FLAT] = InputSettings(), *, debug: Debug = False) -> None:
     from openmm_sier.cli import info as command
 
-    command.execute(options.chosen())
+    command.execute(settings)

@@ -2,16 +2,14 @@
 
 import json
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
 from openmm_sier.cli.contradictions import LENGTHS
 from openmm_sier.cli.errors import Misused, RunError
-from openmm_sier.cli.fields import options, refusal
-from openmm_sier.cli.settings import SETTINGS, RunSettings
+from openmm_sier.cli.fields import refusal
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.system.untrusted_files import open_regular
 
 if sys.version_info >= (3, 11):
@@ -20,8 +18,8 @@ else:
     import tomli as tomllib
 
 
-def read_config(path: Path) -> dict[str, Any]:
-    """Return the settings in a TOML file, by name. Paths are relative to the current directory.
+def read_config(path: Path) -> RunSettings:
+    """Return the settings in a TOML file. Paths are relative to the current directory.
 
     Raises:
         RunError: the file is not TOML.
@@ -34,16 +32,15 @@ def read_config(path: Path) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RunError(f"{path} is not a TOML file: {error}") from None
     named = {name.replace("-", "_"): value for name, value in table.items()}
-    model = options(RunSettings, SETTINGS)
     try:
         # In JSON, paths are strings, and a string is no number.
-        return model.model_validate_json(json.dumps(named, default=str), strict=True).chosen()
+        return RunSettings.model_validate_json(json.dumps(named, default=str), strict=True)
     except ValidationError as error:
-        raise Misused(f"{path}: {': '.join(refusal(error, model))}") from None
+        raise Misused(f"{path}: {': '.join(refusal(error, RunSettings))}") from None
 
 
-def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
+def joined(of_file: RunSettings, of_line: RunSettings) -> RunSettings:
     """Return the settings of a TOML file; those of the command line override them."""
-    has_length = any(name in of_line for name in LENGTHS)
-    from_file = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
-    return from_file | dict(of_line)
+    has_length = any(name in of_line.chosen for name in LENGTHS)
+    from_file = {name: value for name, value in of_file.chosen.items() if not (has_length and name in LENGTHS)}
+    return RunSettings.model_construct(**{**from_file, **of_line.chosen})

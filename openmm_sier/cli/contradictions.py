@@ -1,15 +1,10 @@
 """Settings of a run that contradict each other, and settings that have no effect with the others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator
-from typing import TYPE_CHECKING
 
 from openmm_sier.cli.arguments import flag
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
-
-if TYPE_CHECKING:
-    from openmm_sier.cli.settings import RunSettings
 
 #: Ending of the names of trajectories.
 TRAJECTORY = ".dcd"

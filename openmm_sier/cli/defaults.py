@@ -70,16 +70,11 @@ def steps(earlier: Earlier) -> int:
 
 
 def out(earlier: Earlier) -> Path:
-    """Return the default trajectory of a run."""
-    return trajectory_of(earlier["box"])
+    """Return the default trajectory of a run, after which its other files are named."""
+    return Path(f"{earlier['box'].stem}.dcd")
 
 
 def report(earlier: Earlier) -> Path:
     """Return the default log of a run."""
     trajectory: Path = earlier["out"]
     return trajectory.with_suffix(".csv")
-
-
-def trajectory_of(box: Path) -> Path:
-    """Return the default trajectory of a run of these coordinates; other files are named after it."""
-    return Path(f"{box.stem}.dcd")

@@ -3,13 +3,12 @@
 Command lines, TOML files and checkpoints are checked by the same fields.
 """
 
-from collections.abc import Callable, Collection, Iterable
-from copy import copy
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 #: Whether a restart keeps the value of a setting in the checkpoint, and refuses another, or may change it. Settings "of
@@ -71,7 +70,6 @@ def setting(
     shows_values: bool = False,
     positional: bool = False,
     each: str = "",
-    writes: bool = False,
     **limits: Any,
 ) -> Any:
     """Return a field of a model of settings.
@@ -86,14 +84,13 @@ def setting(
         shows_values: whether the help includes `expected`.
         positional: whether a command line may have its value without a flag.
         each: description of the items of a list.
-        writes: whether the setting names an output.
         limits: of pydantic.
     """
     if not otherwise and default not in (..., None, False):
         otherwise = f"{default:g}" if isinstance(default, float) else str(default)
     description = (f"{help}: {expected}" if shows_values else help) + (f" (default: {otherwise})" if otherwise else "")
     of_default: dict[str, Any] = {"default_factory": follows} if follows else {"default": default}
-    extra: dict[str, Any] = {"expected": expected, "restart": restart, "each": each, "writes": writes}
+    extra: dict[str, Any] = {"expected": expected, "restart": restart, "each": each}
     return Field(description=description, json_schema_extra=extra, kw_only=not positional, **of_default, **limits)
 
 
@@ -150,48 +147,15 @@ def details_of(field: FieldInfo) -> dict[str, Any]:
     return dict(extra) if isinstance(extra, dict) else {}
 
 
-# --- options ---
-
-
-class Options(BaseModel):
-    """Some of the fields of a model, all optional."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    def chosen(self) -> dict[str, Any]:
-        """Return the values that a user chose, by name."""
-        return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
-
-
-def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
-    """Return the class of options with these fields of a model."""
-    fields: dict[str, Any] = {}
-    for name in names:
-        field = copy(model.model_fields[name])
-        annotation = field.rebuild_annotation() | None
-        field.default, field.default_factory = None, None
-        field.metadata = [entry for entry in field.metadata if isinstance(entry, Parameter)]
-        fields[name] = annotation, field
-    return create_model("Options", __base__=Options, **fields)
-
-
 # --- messages ---
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Return the name of the first field with a wrong value, and a message with expected and given values.
-
-    The name is empty if fields contradict each other.
-    """
+    """Return the name of the first field with a wrong value, and a message with expected and given values."""
     # Defaults that follow from a wrong value are errors too.
     first = next(entry for entry in error.errors() if entry["type"] != "default_factory_not_called")
-    if not first["loc"]:
-        return "", str(first["ctx"]["error"]) if "ctx" in first else first["msg"]
     name, *items = map(str, first["loc"])
     if first["type"] == "extra_forbidden":
         return name, "there is no such option"
     details = details_of(model.model_fields[name])
-    expected = details["each"] if items else details["expected"]
-    if first["type"] == "missing":
-        return name, f"expected {expected}, got nothing"
-    return name, f"expected {expected}, got {first['input']!r}"
+    return name, f"expected {details['each'] if items else details['expected']}, got {first['input']!r}"

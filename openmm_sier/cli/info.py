@@ -1,15 +1,14 @@
 """The command `openmm-sier info`: the rigid bodies and points of an input."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from openmm import app
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.settings import InputSettings
 from openmm_sier.cli.simulated_system import with_rigid_bodies
 from openmm_sier.dynamics.index_ranges import MAX_LISTED
 from openmm_sier.dynamics.species import Species
@@ -20,19 +19,17 @@ from openmm_sier.inputs.pdb_files import box_vectors, extent
 COLUMNS = ("residues", "number", "atoms", "mass", "moments of inertia", "freedoms")
 
 
-def execute(options: Mapping[str, Any]) -> None:
+def execute(given: InputSettings) -> None:
     """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
-        options: of the user by name, see `RunSettings`.
+        given: settings that the user chose, and defaults.
 
     Raises:
-        RunError: a setting has no effect with the topology.
+        Misused: there are no coordinates, or a setting has no effect with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    if "box" not in options:
-        raise Misused("info needs BOX, a file of coordinates (see openmm-sier info --help)")
-    settings = new_settings(options)
+    settings = new_settings(given)
     box = read_input(settings.box, settings.topology, settings.forcefield, settings.constraints, edges=settings.edges)
     box, bodies = with_rigid_bodies(box, settings.rigid)
     atoms = list(box.topology.atoms())

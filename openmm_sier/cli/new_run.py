@@ -2,7 +2,6 @@
 
 import math
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,14 +55,14 @@ class NewRun:
     notes = None
     continues = False
 
-    def __init__(self, options: Mapping[str, Any]):
-        """Plan a run by the options of a user, and open its coordinates and topology.
+    def __init__(self, given: RunSettings):
+        """Plan a run by the settings of a user, and open its coordinates and topology.
 
         Raises:
             Misused, RunError, ForceFieldError, RecordError, OSError: as their messages say.
         """
-        self._origin = read_origin(options.get("start"))
-        self.settings = planning.new_settings(options, self._origin.settings if self._origin else None)
+        self._origin = read_origin(given.start)
+        self.settings = planning.new_settings(given, self._origin.settings if self._origin else None)
         if self.settings.hydrogen_mass is not None and self.settings.ensemble == "nve":
             warnings.warn(
                 f"hydrogens of {self.settings.hydrogen_mass:g} dalton at constant energy: do not, motion is slower. "
@@ -74,7 +73,7 @@ class NewRun:
         self.sources = sources_of(self.settings.box, self.settings.topology, self.settings.forcefield)
         if self._origin is not None:
             box = self.sources["box"]
-            planning.refuse_foreign_force_field(self.settings, options, self._origin.checkpoint, box)
+            planning.refuse_foreign_force_field(self.settings, given.chosen, self._origin.checkpoint, box)
         self.unsettled: str | None = None
 
     def check_inputs(self, outputs: Outputs) -> None:
@@ -95,8 +94,7 @@ class NewRun:
         started.getIntegrator().impl.refuse_long_step()
         positions, minimize = simulated.box.positions, settings.minimize
         if self._origin is not None:
-            particles = simulated.box.system.getNumParticles()
-            state, _ = checkpoints.read_checkpoint(self._origin.checkpoint, particles)
+            state, _ = checkpoints.read_checkpoint(self._origin.checkpoint)
             _start_from(self._origin, state, settings, started)
             positions, minimize = state.getPositions(), bool(minimize)
         if settings.equilibrates:

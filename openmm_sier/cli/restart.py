@@ -1,21 +1,18 @@
 """A run that continues from its checkpoint, without a gap."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import openmm
 from openmm import unit
 
 from openmm_sier.cli import planning
 from openmm_sier.cli.console import note
-from openmm_sier.cli.defaults import trajectory_of
 from openmm_sier.cli.errors import Misused, NothingLeft, RunError
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.files.records import last_step
-from openmm_sier.cli.settings import checkpoint_of
+from openmm_sier.cli.settings import RunSettings, checkpoint_of
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.inputs.inputs import sources_of
 
@@ -24,27 +21,26 @@ from openmm_sier.inputs.inputs import sources_of
 ENERGY_TOLERANCE = 1e-4
 
 
-def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path | None:
+def checkpoint_to_continue(given: RunSettings, locks: FileLocks) -> Path | None:
     """Return the checkpoint of `restart`, or with `resume` that of the run; None for a new run.
 
     It is locked before it is looked for or read, so that no other command creates or replaces it. A run that has just
     removed it still holds the lock.
 
     Raises:
-        Misused: options contradict each other.
+        Misused: settings contradict each other.
         RunError: another command writes the checkpoint.
     """
-    checkpoint: Path | None = options.get("restart")
-    if options.get("resume"):
+    checkpoint = given.restart
+    if given.resume:
         if checkpoint:
             raise Misused("--resume finds the checkpoint beside --out: leave --restart out")
-        out = options.get("out") or ("box" in options and trajectory_of(options["box"]))
-        checkpoint = checkpoint_of(out) if out else None
-    elif checkpoint and "start" in options:
+        checkpoint = checkpoint_of(given.out)
+    elif checkpoint and given.start:
         raise Misused("--start begins a new run, and --restart continues an old one: give one of them")
     if checkpoint and checkpoint.parent.is_dir():
         locks.hold([checkpoint])
-    return checkpoint if options.get("restart") or (checkpoint and checkpoint.exists()) else None
+    return checkpoint if given.restart or (checkpoint and checkpoint.exists()) else None
 
 
 class Restart:
@@ -52,19 +48,19 @@ class Restart:
 
     continues = True
 
-    def __init__(self, options: Mapping[str, Any], checkpoint: Path):
-        """Plan a run by a locked checkpoint and the options of a user.
+    def __init__(self, given: RunSettings, checkpoint: Path):
+        """Plan a run by a locked checkpoint and the settings of a user.
 
         Raises:
             Misused, RunError, RecordError, OSError: as their messages say.
         """
         self.checkpoint = checkpoint
         self.notes = checkpoints.read_notes(checkpoint)
-        settings = planning.continued_settings(options, checkpoint, self.notes.plan)
+        settings = planning.continued_settings(given, checkpoint, self.notes.plan)
         platform = settings.platform or self.notes.platform[checkpoints.PLATFORM]
         self.settings = settings.model_copy(update={"platform": platform})
         self.sources = sources_of(settings.box, settings.topology, settings.forcefield)
-        planning.refuse_foreign_force_field(settings, options, checkpoint, self.sources["box"])
+        planning.refuse_foreign_force_field(settings, given.chosen, checkpoint, self.sources["box"])
         self.unsettled = self.notes.unsettled
 
     def check_inputs(self, outputs: Outputs) -> None:
@@ -120,7 +116,7 @@ class Restart:
     def context(self, simulated: SimulatedSystem) -> openmm.Context:
         """Return a Context in the state of the checkpoint, which must belong to this system."""
         notes = self.notes
-        state, _ = checkpoints.read_checkpoint(self.checkpoint, simulated.box.system.getNumParticles())
+        state, _ = checkpoints.read_checkpoint(self.checkpoint)
         context = simulated.context(notes.step)
         context.setState(state)
         energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)

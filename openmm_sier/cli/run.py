@@ -1,10 +1,9 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from signal import Signals
-from typing import Any
 
 import openmm
 
@@ -31,7 +30,7 @@ LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
 
 
 def execute(
-    options: Mapping[str, Any],
+    given: RunSettings,
     config: Path | None = None,
     seeds: Sequence[int] | None = None,
     workers: int | None = None,
@@ -40,8 +39,8 @@ def execute(
     """Run `openmm-sier run`.
 
     Args:
-        options: of the user by name, see `RunSettings`.
-        config: a TOML file with more of them.
+        given: settings that the user chose, and defaults.
+        config: a TOML file with more settings.
         seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.command.execute`; None for one run.
 
     Raises:
@@ -53,17 +52,15 @@ def execute(
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     if config:
-        options = joined(read_config(config), options)
-    if "box" not in options and "restart" not in options:
-        raise Misused("run needs BOX, a file of coordinates, or --restart (see openmm-sier run --help)")
+        given = joined(read_config(config), given)
     if seeds:
-        many.execute(options, seeds, workers, scheduler)
+        many.execute(given, seeds, workers, scheduler)
         return
     if workers or scheduler:
         raise Misused(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     with FileLocks() as locks, StopRequests() as requests:
-        checkpoint = checkpoint_to_continue(options, locks)
-        beginning = Restart(options, checkpoint) if checkpoint else NewRun(options)
+        checkpoint = checkpoint_to_continue(given, locks)
+        beginning = Restart(given, checkpoint) if checkpoint else NewRun(given)
         _run(beginning, config, locks, requests)
 
 

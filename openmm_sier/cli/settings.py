@@ -1,13 +1,17 @@
-"""The settings of a run: one model for the command line, TOML files and checkpoints."""
+"""The settings of commands, by one class for the command line, TOML files and checkpoints.
+
+Each value is judged once, where it comes from: pydantic compares it with the range of its field. Where values of
+several sources have been joined, `openmm_sier.cli.planning` refuses those that contradict each other.
+"""
 
 import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from cyclopts import Parameter
+from pydantic import BaseModel, ConfigDict, Field
 
 from openmm_sier.cli import defaults, fields
-from openmm_sier.cli.contradictions import contradiction
 from openmm_sier.cli.defaults import RECOMMENDED, listed, motion_of
 from openmm_sier.cli.fields import FILE, NAME, File, Name, Switch, one_of
 from openmm_sier.cli.methods import ENSEMBLES, METHODS, THERMOSTATS, Method
@@ -24,22 +28,24 @@ MOST_STEPS = 10**15
 EDGES = 0.1, LONGEST
 
 
-class RunSettings(BaseModel):
-    """All settings of a run, checked, with defaults.
-
-    Times are in ps, but `dt` is in fs. Hybrid Monte Carlo is at constant volume if `pressure` is None, and draws all
-    momenta independently if `friction` is 0.
-    """
+class InputSettings(BaseModel):
+    """The molecules: settings of `openmm-sier info`. Times of all settings are in ps, but `dt` is in fs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # --- the molecules ---
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """The values that were given, by name. All others are defaults."""
+        return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
+    # Its default stands for coordinates that were not given.
     box: File = fields.setting(
         "coordinates of whole molecules with hydrogens: a PDB or PDBx/mmCIF file (virtual sites are added); or with "
         "--topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of OpenMM "
         "in XML",
         FILE,
+        Path("BOX"),
+        otherwise="none; that of the checkpoint with `run --restart`",
         restart="may change",
         positional=True,
     )
@@ -73,6 +79,11 @@ class RunSettings(BaseModel):
         CONSTRAINTS,
         "hbonds",
     )
+
+
+class SystemSettings(InputSettings):
+    """The settings that define the System. A run with `--start` takes them from the other run by default."""
+
     cutoff: float | None = fields.number(
         *("where the direct sum of PME and Lennard-Jones end", "nm", 0.2, 10),
         otherwise=f"{CUTOFF:g}, less in a box that is too small for it",
@@ -90,14 +101,13 @@ class RunSettings(BaseModel):
         otherwise="that of the force field",
     )
 
-    # --- their motion ---
 
-    ensemble: Annotated[str, one_of(ENSEMBLES)] = fields.choice(
-        f"what is constant ({listed(ENSEMBLES)})", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
-    )
-    thermostat: Annotated[str, one_of(THERMOSTATS)] = fields.choice(
-        f"what keeps the temperature with nvt and npt ({listed(THERMOSTATS)})", THERMOSTATS, "langevin"
-    )
+class TrialSettings(SystemSettings):
+    """Settings of `openmm-sier tune`: for the System, its start and the begin of the search."""
+
+    # A run may choose both.
+    ensemble: Annotated[str, Parameter(parse=False)] = "hmc"
+    thermostat: Annotated[str, Parameter(parse=False)] = "langevin"
     scheme: Annotated[str, one_of(METHODS)] = fields.choice(
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
@@ -126,14 +136,6 @@ class RunSettings(BaseModel):
         follows=defaults.steps_per_trial,
         otherwise=f"as many as make {1000 * TRIAL_LENGTH:g} fs",
     )
-    time: float | None = fields.time(
-        "length of the whole trajectory; a restart does what is left of it",
-        otherwise=f"{defaults.TIME:g}; that of the checkpoint with --restart",
-        restart="of the call",
-    )
-    steps: int = fields.whole(
-        "the same in steps", most=MOST_STEPS, follows=defaults.steps, otherwise="as --time says", restart="may change"
-    )
     temperature: float = fields.number(
         *("of the start and of the heat bath", "K", 0, 3000, defaults.TEMPERATURE),
         otherwise=f"{defaults.TEMPERATURE:g}, or that of the run of --start",
@@ -157,19 +159,46 @@ class RunSettings(BaseModel):
         otherwise="the fastest; that of the checkpoint with --restart",
         restart="of the call",
     )
+    start: File | None = fields.file(
+        "checkpoint (.chk) of any run: the new run begins with its positions, velocities and box. The options that "
+        "make the System, and --temperature, are those of that run unless you give them",
+        otherwise="none",
+        restart="of the call",
+    )
+
+
+class RunSettings(TrialSettings):
+    """All settings of a run.
+
+    Hybrid Monte Carlo is at constant volume if `pressure` is None, and draws all momenta independently if `friction` is
+    0.
+    """
+
+    ensemble: Annotated[str, one_of(ENSEMBLES)] = fields.choice(
+        f"what is constant ({listed(ENSEMBLES)})", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
+    )
+    thermostat: Annotated[str, one_of(THERMOSTATS)] = fields.choice(
+        f"what keeps the temperature with nvt and npt ({listed(THERMOSTATS)})", THERMOSTATS, "langevin"
+    )
+    time: float | None = fields.time(
+        "length of the whole trajectory; a restart does what is left of it",
+        otherwise=f"{defaults.TIME:g}; that of the checkpoint with --restart",
+        restart="of the call",
+    )
+    steps: int = fields.whole(
+        "the same in steps", most=MOST_STEPS, follows=defaults.steps, otherwise="as --time says", restart="may change"
+    )
 
     # --- outputs ---
 
     out: File = fields.file(
         "trajectory, .dcd",
-        writes=True,
         follows=defaults.out,
         otherwise="BOX.dcd, in the current directory",
     )
     unwrapped: Switch = fields.switch("frames have molecules where they went, not in the box", otherwise="in the box")
     report: File = fields.file(
         "log, a table in CSV",
-        writes=True,
         follows=defaults.report,
         otherwise="as the trajectory, with .csv",
     )
@@ -177,26 +206,19 @@ class RunSettings(BaseModel):
     report_every: float = fields.time("between rows of the log", 0.04)
     checkpoint_every: float = fields.time("between checkpoints", 1.0)
     pressure_tensor: File | None = fields.file(
-        "write the molecular pressure tensor there in CSV, for viscosity", writes=True, otherwise="it is not written"
+        "write the molecular pressure tensor there in CSV, for viscosity", otherwise="it is not written"
     )
     # Sums over tensors mistake oscillations of the period of their interval, or a fraction of it, for slow ones; in
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
     pressure_tensor_every: float = fields.time("between rows of it, each of which costs 12 energies", 0.02)
     plot: File | None = fields.file(
         "draw the log at the end, as `summary --plot` does, in PNG or SVG",
-        writes=True,
         otherwise="no picture",
         restart="of the call",
     )
 
-    # --- starts and restarts ---
+    # --- restarts ---
 
-    start: File | None = fields.file(
-        "checkpoint (.chk) of any run: the new run begins with its positions, velocities and box. The options that "
-        "make the System, and --temperature, are those of that run unless you give them",
-        otherwise="none",
-        restart="of the call",
-    )
     restart: File | None = fields.file("checkpoint (.chk) to continue from", otherwise="none", restart="of the call")
     resume: Switch = fields.switch(
         "continue from the checkpoint beside --out if there is one, begin a new run if there is none, and succeed if "
@@ -209,18 +231,6 @@ class RunSettings(BaseModel):
         otherwise="refuse to",
         restart="of the call",
     )
-
-    @model_validator(mode="after")
-    def _refuse_contradictions(self, info: ValidationInfo) -> "RunSettings":
-        """Refuse settings that contradict each other.
-
-        The context of the validation may have `chosen`, the names of the settings that a user chose. Without it, these
-        are all settings with a value.
-        """
-        chosen = (info.context or {}).get("chosen", self.model_fields_set)
-        if reason := contradiction(self, chosen):
-            raise ValueError(reason)
-        return self
 
     # --- properties that follow from the settings ---
 
@@ -308,19 +318,5 @@ NOTED = tuple(name for name, details in SETTINGS.items() if details["restart"] !
 #: Settings that name one file each. In a checkpoint they are relative to it.
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
 
-#: Settings that name an output, and those that name an input.
-OUTPUTS = tuple(name for name in FILES if SETTINGS[name]["writes"])
-INPUTS = tuple(name for name in FILES if name not in OUTPUTS)
-
-#: Settings that define the System. A run with `--start` takes them from the other run by default.
-OF_THE_SYSTEM = (
-    *("topology", "forcefield", "edges", "rigid", "constraints"),
-    *("cutoff", "switch", "tolerance", "hydrogen_mass"),
-)
-
-#: Settings of `openmm-sier tune`, for the System, its start and the begin of the search; and of `openmm-sier info`.
-OF_TUNING = (
-    *("box", *OF_THE_SYSTEM, "scheme", "dt", "steps_per_trial", "friction", "pressure"),
-    *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),
-)
-OF_INFO = ("box", "topology", "forcefield", "edges", "rigid", "constraints")
+#: Settings that define the System of given molecules.
+OF_THE_SYSTEM = tuple(name for name in SystemSettings.model_fields if name != "box")

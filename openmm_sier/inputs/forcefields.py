@@ -109,10 +109,9 @@ def locate(name: str, directory: Path) -> str:
     return name
 
 
-def foreign_files(names: Iterable[str], directory: Path) -> dict[str, Path]:
-    """Return the force-field files that come neither with OpenMM nor with this project, by name; see `load`."""
-    located = {name: Path(locate(name, directory)) for name in names}
-    return {name: path for name, path in located.items() if not _is_installed(path)}
+def foreign_files(names: Iterable[str], directory: Path) -> list[str]:
+    """Return the force-field files that come neither with OpenMM nor with this project; see `load`."""
+    return [name for name in names if not _is_installed(Path(locate(name, directory)))]
 
 
 def _is_installed(path: Path) -> bool:

@@ -34,12 +34,9 @@ QUOTES = {'"': "&quot;"}
 #: Maximum depth of nested elements, which OpenMM reads by recursion; a Force within a Force is three deeper.
 DEEPEST = 100
 
-#: Maximum number of bytes of a State, in total and per particle; a State of a run has some 500 per particle.
-STATE_BYTES, PARTICLE_BYTES = 2**17, 2**12
-
 
 class ContentError(ValueError):
-    """Content of a file that is not of the expected kind, is too long, or could execute code."""
+    """Content of a file that is not of the expected kind, or could execute code."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
@@ -60,18 +57,6 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
     raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
 
 
-def read_within(stream: IO[bytes], most: int) -> bytes:
-    """Return all bytes of a stream, up to a maximum.
-
-    Raises:
-        ContentError: the stream is longer.
-    """
-    content = stream.read(most + 1)
-    if len(content) > most:
-        raise ContentError(f"it holds more than {most} bytes")
-    return content
-
-
 def read_system(stream: IO[bytes]) -> openmm.System:
     """Return the System in an XML stream.
 
@@ -82,20 +67,14 @@ def read_system(stream: IO[bytes]) -> openmm.System:
     return openmm.XmlSerializer.deserializeSystem(_checked_xml("System", stream.read()))
 
 
-def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
+def read_state(stream: IO[bytes]) -> openmm.State:
     """Return the State in an XML stream.
 
-    Args:
-        stream: the open file.
-        particles: number of particles, which bounds the length; None if unknown.
-
     Raises:
-        ContentError: the stream is not a State, has numbers that are not finite, or is longer than a State of these
-            particles can be.
+        ContentError: the stream is not a State, or has numbers that are not finite.
         openmm.OpenMMException: OpenMM cannot read it.
     """
-    content = stream.read() if particles is None else read_within(stream, STATE_BYTES + PARTICLE_BYTES * particles)
-    return openmm.XmlSerializer._deserializeState(_checked_xml("State", content))
+    return openmm.XmlSerializer._deserializeState(_checked_xml("State", stream.read()))
 
 
 def _checked_xml(kind: str, content: bytes) -> str:

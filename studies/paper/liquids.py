@@ -139,9 +139,3 @@ def phase_point(
     openmm.LocalEnergyMinimizer.minimize(simulation, 100.0)
     equilibrate(simulation, temperature, seed, time)
     return simulation.getState(positions=True, velocities=True)
-
-
-def energies(context_: openmm.Context) -> tuple[float, float]:
-    """Kinetic and potential energy of a Context, kJ/mol."""
-    state = context_.getState(energy=True)
-    return md(state.getKineticEnergy()), md(state.getPotentialEnergy())

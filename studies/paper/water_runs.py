@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.analysis.statistics import rms, slope_and_error
+from openmm_sier.analysis.statistics import rms
 from openmm_sier.dynamics.bodies import RigidityError
+from studies import frame
 from studies.methods import PAPER, Method
 from studies.paper import liquids
 from studies.paper.published import FS
@@ -128,25 +129,17 @@ def run(task: Task) -> dict[str, Any]:
 def _run(
     system: openmm.System, kind: str, phase: openmm.State, method: Method, step: float, settings: WaterSettings
 ) -> dict[str, float | None]:
-    h = step * method.forces * FS
-    integrator = method.make(h)
-    context = liquids.context(system, integrator, kind)
+    duration = step * method.forces
+    context = liquids.context(system, method.make(duration * FS), kind)
     context.setState(phase)
-    stride = max(1, round(settings.sample_fs * FS / h))
-    energies = []
     try:
         # One step before the first energy makes velocities those of rigid bodies to rounding.
-        integrator.step(1)
-        for i in range(max(3, round(settings.span / (stride * h)) + 1)):
-            if i > 0:
-                integrator.step(stride)
-            kinetic, potential = liquids.energies(context)
-            energies.append((kinetic + potential, potential))
+        context.getIntegrator().step(1)
+        table = frame.sampled(context, frame.energies, duration, settings.span, settings.sample_fs).table
     except (openmm.OpenMMException, RigidityError):
         return dict.fromkeys(("rms_H", "rms_V", "drift"))
-    H, V = np.array(energies).T
-    if not math.isfinite(H.sum()):
-        return dict.fromkeys(("rms_H", "rms_V", "drift"))
-    time = h * stride * np.arange(len(H))
     # The paper takes H about its mean.
-    return {"rms_H": rms(H), "rms_V": rms(V), "drift": slope_and_error(time, H).value}
+    found = frame.conservation(table)
+    if not math.isfinite(found["rms"]):
+        return dict.fromkeys(("rms_H", "rms_V", "drift"))
+    return {"rms_H": found["rms"], "rms_V": rms(table["potential"].to_numpy()), "drift": found["drift"]}

@@ -32,10 +32,10 @@ def test_diffusion_of_brownian_motion():
 def test_diffusion_of_too_short_a_run_or_of_rare_frames():
     with pytest.raises(
         transport.TooShortError,
-        match=r"more than 15 ps, got 8 ps, and frames at most 1 ps apart, got 0.2 ps",
+        match=r"15 ps, got 8 ps, .*got 0.2 ps",
     ):
         transport.self_diffusion(np.zeros((40, 3, 3)), 0.2)
-    with pytest.raises(transport.TooShortError, match=r"got 80 ps, and frames at most 1 ps apart, got 2 ps"):
+    with pytest.raises(transport.TooShortError, match="1 ps apart, got 2 ps"):
         transport.self_diffusion(np.zeros((40, 3, 3)), 2.0)
 
 
@@ -81,9 +81,9 @@ def test_viscosity_is_that_of_all_pairs_of_times():
 
 
 def test_viscosity_needs_a_run():
-    with pytest.raises(transport.TooShortError, match=r"viscosity needs a run of at least 10 ps, got 9\.98 ps"):
+    with pytest.raises(transport.TooShortError, match=r"10 ps, got 9\.98 ps"):
         transport.shear_viscosity(np.zeros((499, 6)), 0.02, 8.0, 300.0)
-    with pytest.raises(transport.TooShortError, match=r"at most 0\.03 ps apart, got 0\.04 ps"):
+    with pytest.raises(transport.TooShortError, match=r"0\.03 ps apart, got 0\.04 ps"):
         transport.shear_viscosity(np.zeros((499, 6)), 0.04, 8.0, 300.0)
 
 
@@ -114,5 +114,5 @@ def test_the_motion_of_the_centre_of_mass_is_left_out():
     centres = np.average(true, axis=1, weights=masses)
     np.testing.assert_allclose(result - result[0], true - true[0] - (centres - centres[0])[:, None], atol=1e-12)
     for wrong in ([1.0], np.zeros(6)):
-        with pytest.raises(ValueError, match="masses must be those of all 6 particles, got"):
+        with pytest.raises(ValueError, match=r"masses .* 6 particles"):
             transport.unwrapped(true, constant, wrong)

@@ -200,7 +200,7 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
     for length in (0, 3, 1000):
         Path("cut.chk").write_bytes(chk.read_bytes()[:length])
         message = complaint(capsys, "run", box, "--restart", "cut.chk")
-        assert "cut.chk is damaged, or is not a checkpoint of openmm-sier run: it cannot be read, or was" in message
+        assert "cut.chk is damaged" in message
         assert "Give another one" in message
     for option, value in CHANGED:
         message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)

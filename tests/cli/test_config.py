@@ -7,7 +7,7 @@ import pytest
 
 from openmm_sier.cli.config import joined
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.settings import NOTED
+from openmm_sier.cli.settings import RunSettings
 from tests.support.commands import complaint, contents, run
 
 PLATFORM = ["--platform", "Reference", "--tolerance", "1e-3", "--equilibrate", "0.006"]
@@ -86,5 +86,5 @@ def test_a_file_that_is_missing(box, capsys):
 
 
 def test_a_length_of_the_command_line_takes_the_place_of_both():
-    assert joined({"steps": 5, "dt": 2.0}, {"time": 1.0}) == {"dt": 2.0, "time": 1.0}
-    assert set(joined({"steps": 5}, {"seed": 1})) == {"steps", "seed"} <= set(NOTED)
+    assert joined(RunSettings(steps=5, dt=2.0), RunSettings(time=1.0)).chosen == {"dt": 2.0, "time": 1.0}
+    assert joined(RunSettings(steps=5), RunSettings(seed=1)).chosen == {"steps": 5, "seed": 1}

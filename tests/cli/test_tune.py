@@ -39,7 +39,7 @@ def test_line_that_it_prints_is_a_run_with_the_step_that_it_found(capsys, box):
 
 def test_line_keeps_what_was_given():
     words = "tune a/b.crd --topology c.psf --forcefield x.prm --edges 1 1 2 --dt 6 --no-minimize --start s.chk"
-    options = parse(words.split()).carry_out.args[0].chosen()
+    options = parse(words.split()).carry_out.args[0].chosen
     assert run_line(options, FOUND) == (
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"

@@ -39,7 +39,7 @@ def test_a_table_has_the_command_under_it():
     assert "| model |\n| --- |\n" in shown
     command = "`studies/data/exactness.json`: `python -m studies.hmc.exactness`"
     assert shown.endswith(f"{command}, in commit {archive.COMMIT}\n")
-    with pytest.raises(ValueError, match=r"exactness\.json has no rows for this table"):
+    with pytest.raises(ValueError, match=r"exactness\.json"):
         pages.show("exactness.json", pd.DataFrame())
 
 
@@ -48,7 +48,7 @@ def test_numbers_in_sentences():
     assert pages.value(rows[:1], "{percent:.2f} ± {percent_error:.2f}") == "0.83 ± 0.02"
     assert pages.value(rows[1:2], "{percent:.2f} ± {percent_error:.2f}") == "0.19"
     assert pages.value(rows, "{percent:.1f} %") == "0.2 % to 0.8 %"
-    with pytest.raises(ValueError, match="no column 'per_cent'; there are percent, percent_error"):
+    with pytest.raises(ValueError, match="'per_cent'; there are percent, percent_error"):
         pages.value(rows, "{per_cent}")
-    with pytest.raises(ValueError, match="no row has a percent"):
+    with pytest.raises(ValueError, match="percent"):
         pages.value(rows[:0], "{percent}")

@@ -29,6 +29,18 @@ def test_the_recipe_has_the_version_and_the_dependencies():
     assert stated("recipe/recipe.yaml", r'python_min: "(.*)"') == [project["requires-python"].removeprefix(">=")]
 
 
+def test_every_folder_of_the_package_is_installed_with_all_its_files():
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 has no tomllib")
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    places = setup["package-dir"]
+    folders = {name: ROOT / places.get(name, name.replace(".", "/")) for name in setup["packages"]}
+    assert set(folders.values()) == {path.parent for path in (ROOT / "openmm_sier").rglob("*.py")} | {ROOT / "systems"}
+    for name, folder in folders.items():
+        patterns = ["*.py", "README.md", *setup["package-data"].get(name, [])]
+        files = [path for path in folder.iterdir() if path.is_file()]
+        assert [path.name for path in files if not any(map(path.match, patterns))] == []
+
+
 def git(*arguments):
     """Lines that git prints; none in a checkout without git."""
     return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split("\n")

@@ -84,7 +84,7 @@ def test_a_full_disk_stops_nothing(folder, monkeypatch):
 
     function = doubling()
     monkeypatch.setattr(os, "replace", full)
-    with pytest.warns(UserWarning, match=r"cannot be kept on disk .*No space left.*NUMBA_CACHE_DIR"):
+    with pytest.warns(UserWarning, match="No space left.*NUMBA_CACHE_DIR"):
         assert function(2) == 4
     assert function(3) == 6
 
@@ -93,7 +93,7 @@ def test_where_numba_finds_no_place_every_process_compiles():
     """A function without a file of its own stands for a place where nothing can be written."""
     made = {}
     exec("def tripled(x):\n    return 3 * x", made)
-    with pytest.warns(UserWarning, match=r"cannot be kept on disk .*no locator available.*NUMBA_CACHE_DIR"):
+    with pytest.warns(UserWarning, match="no locator available.*NUMBA_CACHE_DIR"):
         function = compilation.kernel(made["tripled"])
     assert function(2) == 6
 
@@ -132,13 +132,13 @@ def test_a_folder_that_others_can_write_is_not_used(folder, monkeypatch):
     (place,) = folder.iterdir()
     assert place.stat().st_mode & 0o077 == 0
     place.chmod(0o777)
-    with pytest.warns(UserWarning, match="other users can write .*: set NUMBA_CACHE_DIR"):
+    with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR"):
         function = doubling()
     assert function(2) == 4
     assert function._cache.__class__.__name__ == "NullCache"
     place.chmod(0o755)
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-    with pytest.warns(UserWarning, match="other users can write"):
+    with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR"):
         doubling()
     assert kept_in(folder) == kept
 

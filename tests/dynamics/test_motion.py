@@ -187,7 +187,7 @@ def test_degrees_of_freedom_are_those_of_the_motion(case, dof):
 def test_a_body_turns_about_all_axes_or_one_or_two_with_equal_moments():
     CASES["wrong"] = BLOB, Motion(ALL, (True, True, False))
     try:
-        with pytest.raises(ValueError, match="equal moments about these"):
+        with pytest.raises(ValueError, match="equal moments"):
             set_of("wrong")
     finally:
         del CASES["wrong"]
@@ -195,5 +195,5 @@ def test_a_body_turns_about_all_axes_or_one_or_two_with_equal_moments():
 
 @pytest.mark.parametrize("values", [(1, 1, 0), (True, True), "yes", None, (True, None, False)])
 def test_a_motion_has_three_values_for_each(values):
-    with pytest.raises(TypeError, match="rotations must be three values of True or False"):
+    with pytest.raises(TypeError, match="rotations must be"):
         Motion(rotations=values)

@@ -94,7 +94,7 @@ def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
 
 
 def test_an_operation_that_nothing_executes_is_refused(waters):
-    with pytest.raises(ValueError, match="nothing executes the operation 'bath 1'"):
+    with pytest.raises(ValueError, match="'bath 1'"):
         stepper(SIER2.with_bath(), body_operators(waters.bodies, waters.forces), 0.002)
 
 

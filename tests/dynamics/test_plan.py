@@ -72,7 +72,7 @@ def test_what_moves_atoms():
 
 
 def test_what_cannot_be_planned_is_refused():
-    with pytest.raises(ValueError, match="longest inner step must be positive, got 0"):
+    with pytest.raises(ValueError, match="longest inner step"):
         plan_step(SIER4, 0)
-    with pytest.raises(ValueError, match="nothing executes the operator 'spin'"):
+    with pytest.raises(ValueError, match="'spin'"):
         plan_step(Scheme("other", ((KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5), ("spin", 1.0))))

@@ -153,5 +153,5 @@ def test_alternating_completes_the_middle():
     scheme = alternating("X", (0.3, 0.5))
     expected = ((KICK, 0.3), (DRIFT, 0.5), (KICK, 0.4), (DRIFT, 0.5), (KICK, 0.3))
     assert scheme.stages == Scheme("", expected).stages
-    with pytest.raises(ValueError, match="'drift' must sum to 1"):
+    with pytest.raises(ValueError, match="'drift'"):
         alternating("X", (0.3, 0.6))

@@ -145,7 +145,7 @@ def test_heat_is_not_counted_unless_asked_for(gpu):
     integrator.step(5)
     names = map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
     assert list(names) == [KEPT]
-    with pytest.raises(openmm.OpenMMException, match=r"does not count the heat of its bath.*countsHeat=True"):
+    with pytest.raises(openmm.OpenMMException, match="countsHeat=True"):
         integrator.getHeat()
     assert math.isnan(integrator.countedHeat)
     # Velocities are constrained at the end of a step; positions have SETTLE's 5e-9 nm.

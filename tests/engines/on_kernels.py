@@ -311,7 +311,7 @@ def test_a_ring_of_constraints_is_left_to_the_native_engine():
         system.addConstraint(i, j, 0.15)
     positions = np.array([[0, 0, 0], [0.15, 0, 0], [0.075, 0.13, 0], [0.075, 0.28, 0]])
     point = positions, 0 * positions
-    with pytest.raises(openmm.OpenMMException, match=r"one other atom, and atom \d has others: take engine='native'"):
+    with pytest.raises(openmm.OpenMMException, match="engine='native'"):
         context_on(system, SIERIntegrator(0.002, engine="kernels"), point)
     usual = SIERIntegrator(0.002)
     context_on(system, usual, point)
@@ -320,12 +320,12 @@ def test_a_ring_of_constraints_is_left_to_the_native_engine():
 
 def test_another_version_of_openmm_is_refused(monkeypatch):
     monkeypatch.setattr(openmm_sier_kernels, "VERSION", "7.0")
-    with pytest.raises(openmm.OpenMMException, match=r"built for OpenMM 7\.0, and this is OpenMM .*build it again"):
+    with pytest.raises(openmm.OpenMMException, match=r"OpenMM 7\.0.*build it again"):
         openmm_sier_kernels.library.__wrapped__("OpenCL")
 
 
 def test_a_platform_without_a_library_is_refused():
-    with pytest.raises(openmm.OpenMMException, match="and not for the CPU platform"):
+    with pytest.raises(openmm.OpenMMException, match="CPU platform"):
         openmm_sier_kernels.library("CPU")
 
 

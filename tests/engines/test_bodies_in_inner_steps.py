@@ -166,9 +166,7 @@ def test_numbers_that_are_not_finite_are_reported(chain):
     integrator = SIERIntegrator(0.004, SIER4G, bodies=bodies)
     context = made(integrator, system, point)
     context.setVelocities(np.full_like(point[1], 1e200))
-    with pytest.raises(
-        openmm.OpenMMException, match=r"(force on|position of) .* is not finite in step 1\. Is the step size too long"
-    ):
+    with pytest.raises(openmm.OpenMMException, match=r"not finite in step 1\. Is the step size too long"):
         integrator.step(1)
 
 
@@ -194,7 +192,7 @@ def test_frames_of_a_prepared_system_are_prepared_again():
     prepare_system(system, bodies)
     framed = with_frames(system, positions, bodies)
     integrator = SIERIntegrator(0.001, SIER4G, engine="native")
-    with pytest.raises(openmm.OpenMMException, match=r"prepare the copy too: prepare_system\(system\)"):
+    with pytest.raises(openmm.OpenMMException, match=r"prepare_system\(system\)"):
         made(integrator, framed.system)
     prepared = prepare_system(framed.system)
     assert "stay slow forces, since they act on virtual sites or frozen atoms: HarmonicBondForce" in str(prepared)

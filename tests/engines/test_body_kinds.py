@@ -128,16 +128,16 @@ def test_bodies_that_cannot_be(rigid, message):
     with pytest.raises(ValueError, match=message):
         RigidBodies.from_system(gas.system, gas.topology, rigid, gas.point[0])
     for wrong in ("handed", ["handed"], {"handed": "rigid"}):
-        with pytest.raises(TypeError, match="lists of particle indices"):
+        with pytest.raises(TypeError, match="lists of"):
             RigidBodies.from_system(gas.system, gas.topology, wrong, gas.point[0])
 
 
 def test_bodies_of_something_else():
     """Positions of other particles would otherwise give a geometry without a warning."""
     gas = Gas("handed")
-    with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\).*, got \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"positions .*\(12, 3\).*\(3, 3\)"):
         RigidBodies.from_system(gas.system, gas.topology, [[0, 1, 2]], gas.point[0][:3])
-    with pytest.raises(TypeError, match=r"must be an openmm\.System, got a Topology"):
+    with pytest.raises(TypeError, match=r"openmm\.System, got a Topology"):
         RigidBodies.from_system(gas.topology)
 
 
@@ -156,10 +156,10 @@ def test_virtual_sites_in_a_named_body_ride_along():
 
 def test_shapes_that_only_positions_give():
     """Constraints of methane leave its mirror image possible. OpenMM itself needs no shape."""
-    with pytest.raises(TypeError, match=r"take their shape from positions: bodies=RigidBodies\.from_system"):
+    with pytest.raises(TypeError, match=r"bodies=RigidBodies\.from_system"):
         SIERIntegrator(0.001, "SIER2", bodies=Gas(METHANE).clusters)
     gas = Gas(METHANE, pairs_of(METHANE))
-    with pytest.raises(RigidityError, match=r"not flat, take .*: give positions, as in bodies=RigidBodies\.from"):
+    with pytest.raises(RigidityError, match=r"bodies=RigidBodies\.from"):
         openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", engine="exact"), platform())
     integrator = SIERIntegrator(0.001, "SIER2")
     _context = openmm.Context(gas.system, integrator, platform())
@@ -183,7 +183,7 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     gas.system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     gas.system.removeForce(1)
     gas.system.addForce(seeded(openmm.XmlSerializer.clone(barostat), 1))
-    with pytest.raises(RigidityError, match="body of atoms 0, 1, 2 consists of several molecules, and MonteCarlo"):
+    with pytest.raises(RigidityError, match=r"atoms 0, 1, 2 .*MonteCarlo"):
         openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.bodies), platform())
 
     bonds = openmm.HarmonicBondForce()
@@ -199,5 +199,5 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     assert context.getState().getPeriodicBoxVolume() != before
 
     gas.system.getForce(1).setScaleMoleculesAsRigid(False)
-    with pytest.raises(RigidityError, match=r"MonteCarlo\w*Barostat scales each atom separately.*AsRigid=True"):
+    with pytest.raises(RigidityError, match="AsRigid=True"):
         openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.bodies), platform())

@@ -153,7 +153,7 @@ def test_frames_have_the_moments():
 
 def test_the_native_engine_refuses_them():
     system, positions, bodies = typed({PATCHY: 3})
-    with pytest.raises(openmm.OpenMMException, match=r"moments that are not those of its masses.*engine='exact'"):
+    with pytest.raises(openmm.OpenMMException, match=r"moments .*engine='exact'"):
         started(system, positions, SIERIntegrator(0.01, bodies=bodies, engine="native"))
 
 

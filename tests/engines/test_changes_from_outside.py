@@ -152,7 +152,7 @@ def test_no_force_is_computed_where_atoms_are_lost(engine, make, scheme, monkeyp
 @pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf])
 def test_impossible_masses_are_refused(engine, mass):
     system = assembled([mass, 1.0])
-    with pytest.raises(openmm.OpenMMException, match=r"mass of particle 0 is .* must be positive, or 0"):
+    with pytest.raises(openmm.OpenMMException, match="mass of particle 0"):
         openmm.Context(system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
 
 

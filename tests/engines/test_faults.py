@@ -187,7 +187,7 @@ def test_force_that_is_not_finite(cluster, name):
     trajectory, integrator = Trajectory(system, make, point, name), make()
     context = context_at(system, integrator, point, name, steps=4)
     context.setParameter("k", float("nan"))
-    with pytest.raises(openmm.OpenMMException, match=r"force on residue HOH \d+ \(atoms 0, 1, 2\) is not .* step 5"):
+    with pytest.raises(openmm.OpenMMException, match=r"residue HOH \d+ \(atoms 0, 1, 2\) .*step 5"):
         integrator.step(3)
     assert assert_at(context, trajectory) == 4
     context.setParameter("k", 1.0)
@@ -210,7 +210,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     monkeypatch.setattr("openmm_sier.stability.step_check.StepCheck.__call__", lambda *_: None)
     with (
         np.errstate(over="ignore", invalid="ignore"),
-        pytest.raises(openmm.OpenMMException, match="position of the body of atoms 8, 9, 10 is not finite in step 3"),
+        pytest.raises(openmm.OpenMMException, match=r"atoms 8, 9, 10 .*step 3"),
     ):
         integrator.step(1)
     assert context.getStepCount() == 2
@@ -249,7 +249,7 @@ def test_context_that_is_gone(cluster):
     del context
     gc.collect()
     for ask in (lambda: integrator.step(1), integrator.getBodyState):
-        with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists"):
+        with pytest.raises(openmm.OpenMMException, match="no longer exists"):
             ask()
 
 
@@ -281,7 +281,7 @@ def test_compound_integrator_is_refused(cluster):
     compound = openmm.CompoundIntegrator()
     compound.addIntegrator(openmm.VerletIntegrator(0.001))
     compound.addIntegrator(SIERIntegrator(0.001, "SIER2"))
-    with pytest.raises(openmm.OpenMMException, match="cannot be part of a CompoundIntegrator"):
+    with pytest.raises(openmm.OpenMMException, match="CompoundIntegrator"):
         openmm.Context(system, compound, platform())
 
 
@@ -345,7 +345,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     message = r"atom 6 of .*residue HOH \d+ .* has a mass of 1.00\d+ dalton in the bodies, but 2.0 dalton in the System"
     with pytest.raises(ValueError, match=message):
         context.reinitialize(preserveState=True)
-    with pytest.raises(openmm.OpenMMException, match="This integrator has no Context"):
+    with pytest.raises(openmm.OpenMMException, match="no Context"):
         integrator.step(1)
     with pytest.raises(ValueError, match=message):
         openmm.Context(system, SIERIntegrator(0.001, "SIER2", bodies=bodies), platform())

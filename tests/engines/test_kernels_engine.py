@@ -21,7 +21,7 @@ LIMIT = 1800
 def test_without_the_package_it_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "openmm_sier_kernels", None)
     integrator = SIERIntegrator(0.004, engine="kernels")
-    with pytest.raises(openmm.OpenMMException, match=r"needs the package openmm-sier-kernels.*pip install \./kernels"):
+    with pytest.raises(openmm.OpenMMException, match=r"pip install \./kernels"):
         openmm.Context(assembled([1.0]), integrator, openmm.Platform.getPlatformByName("Reference"))
 
 
@@ -31,7 +31,7 @@ def test_a_platform_without_kernels_is_refused(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "openmm_sier_kernels", SimpleNamespace(library=library))
     integrator = SIERIntegrator(0.004, engine="kernels")
-    with pytest.raises(openmm.OpenMMException, match="not for the Reference platform"):
+    with pytest.raises(openmm.OpenMMException, match="Reference platform"):
         openmm.Context(assembled([1.0]), integrator, openmm.Platform.getPlatformByName("Reference"))
 
 

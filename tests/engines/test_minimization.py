@@ -123,7 +123,7 @@ def test_a_force_that_is_not_finite_leaves_the_bodies(gas, rigid):
     before = phase_point(context)
     context.setParameter("wall", before[0][:, 0].max() + 0.05)
     evaluations = integrator.forceEvaluations
-    with pytest.raises(openmm.OpenMMException, match=r"force on residue MOH \d+ .* is not finite"):
+    with pytest.raises(openmm.OpenMMException, match=r"residue MOH \d+ "):
         openmm.LocalEnergyMinimizer.minimize(context)
     assert integrator.forceEvaluations > evaluations + 2
     for one, other in zip(phase_point(context), before, strict=True):

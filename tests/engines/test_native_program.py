@@ -62,10 +62,10 @@ def test_scheme_that_cannot_be_written_out_is_left_to_the_exact_engine():
     with pytest.raises(ValueError, match="'spin'"):
         _ = integrator.program
     system = assembled([1.0])
-    with pytest.raises(openmm.OpenMMException, match=r"does not know this scheme.*take another scheme"):
+    with pytest.raises(openmm.OpenMMException, match="take another scheme"):
         openmm.Context(system, SIERIntegrator(0.002, other, engine="native"))
     many = Scheme("many", ((KICK, 0.5), *[(DRIFT, 0.05), (KICK, 0.0)] * 20, (KICK, 0.5)))
-    with pytest.raises(ValueError, match="21 native steps, more than 12"):
+    with pytest.raises(ValueError, match="more than 12"):
         native_program.write(many, 1)
 
 

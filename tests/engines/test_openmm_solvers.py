@@ -90,7 +90,7 @@ def test_velocities_of_a_temperature(kind, name):
     assert np.array_equal(other[0], v)
     assert not np.array_equal(other[1], v)
     assert not np.array_equal(other[2], other[1])
-    with pytest.raises(ValueError, match="temperature must not be negative, got -1"):
+    with pytest.raises(ValueError, match=r"temperature .*-1"):
         context.setVelocitiesToTemperature(-1)
 
 
@@ -150,7 +150,7 @@ def test_the_native_engine_refuses_before_it_changes_anything():
         lambda: openmm.LocalEnergyMinimizer.minimize(context),
         lambda: context.getIntegrator().step(1),
     ):
-        with pytest.raises(openmm.OpenMMException, match="cannot satisfy the constraints of atoms 0, 1, 2, 3, 4"):
+        with pytest.raises(openmm.OpenMMException, match="atoms 0, 1, 2, 3, 4"):
             call()
         assert np.array_equal(phase_point(context)[0], positions)
         assert not phase_point(context)[1].any()
@@ -164,7 +164,7 @@ def test_constraints_of_a_bent_line_are_those_of_a_line():
 
 def test_integrators_of_openmm_are_not_given_them():
     system, positions = gas(methane())
-    with pytest.raises(openmm.OpenMMException, match="OpenMM cannot satisfy the constraints of atoms 0"):
+    with pytest.raises(openmm.OpenMMException, match="constraints of atoms 0"):
         make_integrator(system, positions, "verlet", 0.002)
 
 

@@ -123,9 +123,7 @@ def test_selenomethionine_becomes_methionine(tmp_path):
 
 def test_a_gap_without_a_sequence_is_refused(tmp_path):
     path = write_incomplete(tmp_path / "a.pdb", sequence=False)
-    with pytest.raises(
-        ForceFieldError, match=r"a gap of .* nm between ASP A 44 and ASP A 46, and the file has no sequence that fits"
-    ):
+    with pytest.raises(ForceFieldError, match=r"gap .*ASP A 44 and ASP A 46"):
         complete(path)
 
 
@@ -134,19 +132,19 @@ def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, mon
     # PDBFixer looks for hydrogens of residues that it does not know at the archive, which tests do not ask.
     monkeypatch.setattr("pdbfixer.pdbfixer.urlopen", lambda _: (_ for _ in ()).throw(OSError("no network")))
     path = write_incomplete(tmp_path / "a.pdb", also=SULFATE)
-    with pytest.raises(ForceFieldError, match=r"No template found for residue .*SO4.*\(--leave-out\)"):
+    with pytest.raises(ForceFieldError, match=r"SO4.*\(--leave-out\)"):
         complete(path)
     result = complete(path, leave_out=["SO4"])
     assert ("residues left out", "1 SO4") in result.changes
-    with pytest.raises(ForceFieldError, match="has no residue GOL to leave out; it has "):
+    with pytest.raises(ForceFieldError, match="GOL"):
         complete(path, leave_out=["GOL"])
 
 
 @pytest.mark.thorough
 def test_force_fields_without_water_or_ions_are_refused(structure, whole):
-    with pytest.raises(ForceFieldError, match=r"cannot add water with the force field amber14-all.xml: "):
+    with pytest.raises(ForceFieldError, match=r"amber14-all\.xml: "):
         solvate(complete(structure, ("amber14-all.xml",)))
-    with pytest.raises(ForceFieldError, match=r"with the force field tip3p.xml: No template found for residue"):
+    with pytest.raises(ForceFieldError, match=r"tip3p\.xml: "):
         complete(structure, ("tip3p.xml",))
 
 

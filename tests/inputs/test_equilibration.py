@@ -68,7 +68,7 @@ def test_a_potential_energy_that_is_still_falling_has_not_settled(monkeypatch):
     the bath, where two standard deviations of the kinetic energy are 77 kJ/mol.
     """
     monkeypatch.setattr(equilibration, "LONGEST", 4.0)
-    with pytest.warns(EquilibrationWarning, match="not equilibrated after 4"):
+    with pytest.warns(EquilibrationWarning, match="after 4"):
         outcome = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
     assert not outcome.settled
     assert abs(outcome.means.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
@@ -77,7 +77,7 @@ def test_a_potential_energy_that_is_still_falling_has_not_settled(monkeypatch):
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
     monkeypatch.setattr(equilibration, "LONGEST", 4.0)
     system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
-    with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
+    with pytest.warns(EquilibrationWarning, match="out of bounds"):
         outcome = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
     assert not outcome.settled
 
@@ -130,7 +130,7 @@ def test_a_context_whose_equilibration_fails_stays_as_it_was(tethered, monkeypat
 
 def test_only_contexts_of_this_package_are_equilibrated(tethered):
     context = context_of(*tethered, openmm.VerletIntegrator(0.001))
-    with pytest.raises(TypeError, match="equilibrate needs a Context with a SIER integrator, got a VerletIntegrator"):
+    with pytest.raises(TypeError, match="got a VerletIntegrator"):
         equilibrate(context, TEMPERATURE)
 
 

@@ -233,7 +233,7 @@ def test_a_pressure_is_set_where_there_is_one():
     assert result.getBarostatInterval() == 7
     plain = SIERLangevinIntegrator(297.0, 2.0, 0.001)
     assert plain.getBarostatInterval() is None
-    with pytest.raises(ValueError, match="create it with a pressure"):
+    with pytest.raises(ValueError, match="with a pressure"):
         plain.setPressure(1)
 
 
@@ -242,7 +242,7 @@ def test_a_pressure_is_set_where_there_is_one():
 
 def test_a_barostat_of_the_system_is_refused(box):
     system = with_forces(box[1], openmm.MonteCarloBarostat(1.0, 297.0))
-    with pytest.raises(openmm.OpenMMException, match="MonteCarloBarostat: remove one of the two barostats"):
+    with pytest.raises(openmm.OpenMMException, match="remove one of the two barostats"):
         openmm.Context(system, integrator(), platform())
 
 
@@ -250,7 +250,7 @@ def test_a_box_too_small_for_the_cutoff(box):
     _, system, point = box
     result = integrator(pressure=1e6, interval=1)
     context = context_at(system, result, point)
-    with pytest.raises(openmm.OpenMMException, match=r"could not try a volume of 1\.\d+ nm\^3: .* twice"):
+    with pytest.raises(openmm.OpenMMException, match=r"1\.\d+ nm\^3"):
         result.step(500)
     steps = context.getState().getStepCount()
     assert steps > 0
@@ -271,7 +271,7 @@ def test_an_error_that_is_not_about_the_box(box, monkeypatch):
         raise openmm.OpenMMException("Something else.")
 
     monkeypatch.setattr(result.impl.engine, "scale", scale)
-    with pytest.raises(openmm.OpenMMException, match=r"nm\^3: Something else\. The Context is left at the last"):
+    with pytest.raises(openmm.OpenMMException, match="Something else"):
         result.step(1)
     assert context.getStepCount() == 0
 

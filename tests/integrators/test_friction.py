@@ -321,7 +321,7 @@ def test_points_that_constraints_join_have_one_friction():
     system.addConstraint(0, 1, 0.1)
     system.addConstraint(1, 2, 0.1)
     positions = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
-    with pytest.raises(openmm.OpenMMException, match="frictionCoeff must be one number for atom 0 and atom 1"):
+    with pytest.raises(openmm.OpenMMException, match=r"frictionCoeff .*atom 0 and atom 1"):
         context_of(system, positions, SIERLangevinIntegrator(T, {"default": (1, 2, 2)}, 0.004))
     integrator = SIERLangevinIntegrator(T, {"default": 1}, 0.004)
     _context = context_of(system, positions, integrator)

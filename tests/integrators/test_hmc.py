@@ -189,7 +189,7 @@ def test_a_trajectory_that_would_be_rejected_continues(cluster, monkeypatch):
 def test_long_trials_do_not_continue():
     assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
     assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
-    with pytest.raises(ValueError, match="extraChances must be a whole number of at least 0, got -1"):
+    with pytest.raises(ValueError, match=r"extraChances .*-1"):
         SIERHMCIntegrator(300, 0.009, extraChances=-1)
 
 
@@ -265,7 +265,7 @@ def test_forces_that_are_not_finite_reject_a_trial(engine):
     assert np.abs(places).max() < 0.3
     # Where there is no energy to begin with, nothing goes on.
     context.setPositions([[0.5, 0.0, 0.0]])
-    with pytest.raises(openmm.OpenMMException, match=r"energy at the beginning of step 201 is nan"):
+    with pytest.raises(openmm.OpenMMException, match="step 201 is nan"):
         integrator.step(1)
     assert context.getStepCount() == 200
 
@@ -360,7 +360,7 @@ def test_rounding_in_single_precision_may_miss_the_start_by_more(
     assert engine.precision is None
     monkeypatch.setattr(engine, "precision", precision)
     monkeypatch.setattr(metropolis, "reversal_error", lambda *_: 1.01 * allowed)
-    with pytest.raises(openmm.OpenMMException, match=f"trajectory of {steps} steps.*{words}"):
+    with pytest.raises(openmm.OpenMMException, match=f"{steps} steps.*{words}"):
         integrator.step(1)
     monkeypatch.setattr(metropolis, "reversal_error", lambda *_: 0.99 * allowed)
     integrator.step(1)

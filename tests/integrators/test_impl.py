@@ -18,9 +18,9 @@ PACKAGE = pathlib.Path(openmm_sier.__file__).parent
 def test_an_integrator_whose_context_was_refused_says_so():
     _, _positions, system = cluster_system(2)
     integrator = SIERLangevinIntegrator(300, 5, 0.002, pressure=1)
-    with pytest.raises(openmm.OpenMMException, match="Constant pressure requires a periodic System"):
+    with pytest.raises(openmm.OpenMMException, match="periodic"):
         openmm.Context(system, integrator)
-    with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists, or was refused"):
+    with pytest.raises(openmm.OpenMMException, match="no longer exists, or was refused"):
         openmm.Context(system, integrator)
 
 
@@ -28,7 +28,7 @@ def test_computations_of_others_are_refused():
     _, _, system = cluster_system(2)
     integrator = SIERLangevinIntegrator(300, 5, 0.002)
     integrator.addComputePerDof("v", "0.5*v")
-    with pytest.raises(openmm.OpenMMException, match=r"computations and has \d+ now. .* cannot add"):
+    with pytest.raises(openmm.OpenMMException, match=r"has \d+ now"):
         openmm.Context(system, integrator)
 
 

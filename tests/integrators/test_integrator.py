@@ -95,7 +95,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
 
 
 def test_steps_without_a_context_are_refused():
-    with pytest.raises(openmm.OpenMMException, match="This integrator has no Context"):
+    with pytest.raises(openmm.OpenMMException, match="no Context"):
         SIERIntegrator(0.001, "SIER2").step(1)
 
 
@@ -182,9 +182,9 @@ def test_barostats_need_no_velocities(box, barostat):
 def test_a_scheme_may_be_given_by_its_name(make):
     for name in ("SIER2P3", "sier2p3", "Sier2P3"):
         assert make(name).scheme == make(SIER2P3).scheme
-    with pytest.raises(ValueError, match=r"scheme must be one of SIER2, .*SIER4P, got 'verlet'"):
+    with pytest.raises(ValueError, match=r"scheme .*SIER2, .*'verlet'"):
         make("verlet")
-    with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or its name, as in SIERIntegrator.*, got 4"):
+    with pytest.raises(TypeError, match=r"scheme .*SIERIntegrator.*, got 4"):
         make(4)
 
 

@@ -120,7 +120,7 @@ def test_noise_that_a_state_does_not_hold_draws_a_warning():
         if engine == "exact":
             later.setState(state)
         else:
-            with pytest.warns(UserWarning, match="a State does not hold the noise of Langevin dynamics"):
+            with pytest.warns(UserWarning, match="State does not hold the noise"):
                 later.setState(state)
         other.step(3)
         assert np.array_equal(phase_point(later)[0], end) is (engine == "exact")
@@ -202,7 +202,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
     x = np.pi * h / period
     share = x / np.tan(x)
     integrator = seeded(SIERLangevinIntegrator(1, 20, h, SIER2, fastForceGroups={FAST}, engine=engine, substeps=6), 7)
-    with pytest.warns(UserWarning, match=f"At 4 fs averages .*: slow forces .* by only {100 * share:.0f} % of what"):
+    with pytest.warns(UserWarning, match=f"4 fs .*by only {100 * share:.0f} %"):
         context = context_at(system, integrator, (positions, 0 * positions), steps=100)
     lengths = []
     for _ in range(200):
@@ -233,9 +233,7 @@ def test_a_force_at_another_temperature_draws_a_warning(force):
         context.setParameter(type(force).Temperature(), 300)
         integrator.step(1)
     integrator.setTemperature(280)
-    with pytest.warns(
-        UserWarning, match=f"The {name} has 300 K, but the heat bath of the integrator has 280 K"
-    ) as caught:
+    with pytest.warns(UserWarning, match=f"{name} has 300 K, .*280 K") as caught:
         integrator.step(1)
     assert len(caught) == 1
     integrator.setTemperature(270)

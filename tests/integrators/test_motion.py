@@ -279,20 +279,20 @@ def test_bodies_that_do_not_translate_refuse_pressure(barostat):
 def test_the_native_engine_and_frames_refuse_motions():
     system, positions, bodies = mixture(Motion.ROTATING)
     integrator = SIERLangevinIntegrator(T, 5.0, 0.005, bodies=bodies, engine="native")
-    with pytest.raises(openmm.OpenMMException, match=r"give the type Motion\.FREE, or take engine='exact'"):
+    with pytest.raises(openmm.OpenMMException, match=r"Motion\.FREE, .*engine='exact'"):
         context_of(system, positions, integrator)
-    with pytest.raises(ValueError, match=r"give the type Motion\.FREE, or take the exact engine"):
+    with pytest.raises(ValueError, match=r"Motion\.FREE"):
         with_frames(system, positions, bodies)
 
 
 def test_bodies_that_are_inclined_to_the_plane_are_refused():
-    with pytest.raises(RigidityError, match=r"the type 'rod' with Motion\.IN_PLANE, turns about its last"):
+    with pytest.raises(RigidityError, match=r"'rod' with Motion\.IN_PLANE"):
         typed({replace(ROD, motion=Motion.IN_PLANE): 3})
 
 
 def test_a_motion_is_checked():
-    with pytest.raises(TypeError, match="motion of the body type 'rod' must be a Motion"):
+    with pytest.raises(TypeError, match=r"motion of .*'rod'"):
         replace(ROD, motion="pinned")
-    with pytest.raises(ValueError, match="the body type 'top': bodies that turn about two of three axes"):
+    with pytest.raises(ValueError, match=r"'top': .*two of three axes"):
         replace(TOP, motion=Motion(rotations=(True, True, False)))
     assert replace(ROD, motion=Motion.IN_PLANE).dof == 3

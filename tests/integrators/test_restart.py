@@ -353,7 +353,7 @@ def test_a_state_with_numbers_that_no_run_writes_is_refused(name):
     state = openmm.XmlSerializer.serialize(context.getState(positions=True, velocities=True, integratorParameters=True))
     assert f'{name}="0"' in state
     broken = openmm.XmlSerializer.deserialize(state.replace(f'{name}="0"', f'{name}="nan"'))
-    with pytest.raises(openmm.OpenMMException, match=f"has {name} = nan, expected a finite number"):
+    with pytest.raises(openmm.OpenMMException, match=f"{name} = nan"):
         context.setState(broken)
     context.getIntegrator().step(1)
     assert np.isfinite(context.getIntegrator().getHeat()._value)

@@ -240,7 +240,7 @@ def test_a_rotation_of_users():
     """XML cannot contain it and refuses; copies within the process can."""
     integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
-    with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* is not known here"):
+    with pytest.raises(openmm.OpenMMException, match="free-rotation map"):
         deserialize(serialize(integrator))
     other = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: (A, L))
     assert serialize(other) != serialize(integrator)
@@ -264,9 +264,7 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIERIntegrator(0.001, "SIER2"))
     monkeypatch.undo()
-    with pytest.raises(
-        openmm.OpenMMException, match="another version of openmm_sier, in layout 7, and this version reads layout 2"
-    ):
+    with pytest.raises(openmm.OpenMMException, match="layout 7, and this version reads layout 2"):
         deserialize(xml)
 
 
@@ -399,7 +397,5 @@ def test_xml_without_the_variables_of_a_trial_is_refused():
     """That of earlier versions, which made trials step by step."""
     xml = openmm.XmlSerializer.serialize(SIERHMCIntegrator(300.0, 0.004))
     line = next(line for line in xml.splitlines() if 'name="sier_steps"' in line)
-    with pytest.raises(
-        settings.SettingsError, match="lacks the variable sier_steps, as one of an earlier version may: create"
-    ):
+    with pytest.raises(settings.SettingsError, match="sier_steps"):
         openmm.XmlSerializer.deserialize(xml.replace(line, "", 1))

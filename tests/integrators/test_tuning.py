@@ -86,7 +86,7 @@ def bonded(mass, strength, **options):
 def test_steps_stay_below_the_limit_of_a_bond():
     """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
     context = bonded(1.0, 2e4, scheme=SIER2)
-    with pytest.warns(UserWarning, match="A step of 4 fs is long"):
+    with pytest.warns(UserWarning, match="4 fs is long"):
         tuned = tune(context, 0.05, trials=10)
     refused = [each.step for each in tuned.tried if math.isinf(each.spread)]
     assert refused
@@ -155,7 +155,7 @@ def test_arguments_that_make_no_sense(options, message):
 
 def test_other_integrators_are_refused():
     context = openmm.Context(assembled([1.0]), SIERIntegrator(0.001), platform())
-    with pytest.raises(TypeError, match="with a SIERHMCIntegrator, got a SIERIntegrator"):
+    with pytest.raises(TypeError, match="SIERHMCIntegrator, got a SIERIntegrator"):
         tune(context)
-    with pytest.raises(ValueError, match="step must be above zero"):
+    with pytest.raises(ValueError, match="step must be"):
         tune(wells(0.0))

@@ -52,5 +52,5 @@ def test_the_search_of_files_finds_wrong_commands(tmp_path, monkeypatch, wrong):
 
 
 def test_pairs_of_commands_are_known_ones(tmp_path):
-    with pytest.raises(ValueError, match=r"unknown pair 'run,walk'; known are run,run, run,restart"):
+    with pytest.raises(ValueError, match="'run,walk'"):
         two_commands.study(TwoSettings(pairs=("run,walk",), out=tmp_path))

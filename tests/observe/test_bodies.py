@@ -144,5 +144,5 @@ def test_a_gsd_file_of_other_bodies_is_not_continued(tmp_path):
         if count == 3:
             simulation.step(1)
             simulation.reporters[0].close()
-    with pytest.raises(ValueError, match=r"run\.gsd cannot be continued: it has 3 bodies, and this System 4"):
+    with pytest.raises(ValueError, match=r"run\.gsd .*3 bodies.* 4"):
         simulation.step(1)

@@ -218,8 +218,8 @@ def test_what_is_given_wrongly_is_refused():
     _, positions, system = cluster_system(2)
     context = plain_context(system, positions)
     for tolerance in (0, 1, -0.1, float("nan")):
-        with pytest.raises(ValueError, match="tolerance must be between 0 and 1, got"):
+        with pytest.raises(ValueError, match="tolerance must be"):
             check_forces(context, tolerance=tolerance)
     empty = openmm.Context(copy.deepcopy(system), openmm.VerletIntegrator(0.001), platform())
-    with pytest.raises(openmm.OpenMMException, match=r"energy of NonbondedForce is nan.*Set positions"):
+    with pytest.raises(openmm.OpenMMException, match="NonbondedForce is nan"):
         check_forces(empty)

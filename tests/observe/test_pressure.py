@@ -234,17 +234,17 @@ def test_refusals(tmp_path, box):
         topology, system, SIERIntegrator(0.0005, "SIER2"), "Reference", (positions, 0 * positions)
     )
     simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 1))
-    with pytest.raises(ValueError, match="requires a System with periodic boundary conditions"):
+    with pytest.raises(ValueError, match="periodic"):
         simulation.step(1)
     held = with_forces(box[1], openmm.CustomExternalForce("x"))
-    with pytest.raises(ValueError, match="has a CustomExternalForce"):
+    with pytest.raises(ValueError, match="CustomExternalForce"):
         MolecularPressure(context_at(held, SIERIntegrator(0.001, "SIER2"), box[2]))
     (frozen, point), (summed, _) = salt(), salt()
     frozen.setParticleMass(7, 0)
     summed.getForce(0).setNonbondedMethod(openmm.NonbondedForce.Ewald)
-    with pytest.raises(ValueError, match="Ewald sums only in rectangular boxes"):
+    with pytest.raises(ValueError, match="rectangular"):
         MolecularPressure(still(summed, point))
-    with pytest.raises(ValueError, match="atom 7 has no mass"):
+    with pytest.raises(ValueError, match="atom 7 "):
         MolecularPressure(still(frozen, point))
 
 

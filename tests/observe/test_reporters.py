@@ -132,7 +132,7 @@ def test_without_periodic_boundaries_there_is_no_density(tmp_path):
 
 def test_a_log_with_other_columns_is_not_continued(tmp_path):
     (tmp_path / "old.csv").write_text("Step,Time (ps),Total Energy (kJ/mol)\n")
-    with pytest.raises(ValueError, match=r"old.csv cannot be continued: it has 3 columns"):
+    with pytest.raises(ValueError, match=r"old\.csv .*3 columns"):
         ConservationReporter(tmp_path / "old.csv", 1, append=True)
 
 
@@ -160,7 +160,7 @@ def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
     whole = path.read_bytes()
     kept = whole[: whole.rindex(b"\n", 0, -1) + 1]
     path.write_bytes(whole[:-lost])
-    with pytest.warns(UserWarning, match=r"log.csv ended within a row, .*: removed the \d+ bytes"):
+    with pytest.warns(UserWarning, match=r"log\.csv .*\d+ bytes"):
         reporter = make(path, 2, append=True)
     assert path.read_bytes() == kept
     simulation.reporters.append(reporter)
@@ -173,7 +173,7 @@ def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
 def test_a_heading_that_was_cut_is_refused(tmp_path):
     path, heading = tmp_path / "log.csv", ",".join(conservation.COLUMNS)
     path.write_text(heading)
-    with pytest.raises(ValueError, match=r"log\.csv cannot be continued: its heading was cut off"):
+    with pytest.raises(ValueError, match=r"log\.csv cannot be continued"):
         ConservationReporter(path, 1, append=True)
     assert path.read_text() == heading
 
@@ -208,7 +208,7 @@ def test_body_states_have_the_names_of_domains(tmp_path):
         path = tmp_path / f"{number}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, names=names))
         if number > 1:
-            with pytest.raises(ValueError, match=f"{number}.h5 cannot be begun: names must belong to whole bodies"):
+            with pytest.raises(ValueError, match=f"{number}.h5 cannot be begun"):
                 simulation.step(1)
             continue
         simulation.step(1)
@@ -291,7 +291,7 @@ def test_body_states_are_continued(tmp_path, box):
     topology, positions, system = cluster_system(4)
     other = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), "Reference", (positions, 0 * positions))
     other.reporters.append(BodyStateReporter(path, 1, append=True))
-    with pytest.raises(ValueError, match=r"bodies.h5 cannot be continued: its 59 bodies are not the bodies"):
+    with pytest.raises(ValueError, match=r"bodies\.h5 cannot be continued"):
         other.step(1)
 
 
@@ -299,13 +299,13 @@ def test_body_states_are_continued(tmp_path, box):
 def test_other_integrators_are_refused(tmp_path, box, make):
     simulation = simulation_at(box, openmm.VerletIntegrator(0.001))
     simulation.reporters.append(make(tmp_path / "file", 1))
-    with pytest.raises(TypeError, match="requires a SIER integrator"):
+    with pytest.raises(TypeError, match="SIER integrator"):
         simulation.step(1)
 
 
 @pytest.mark.parametrize("interval", [0, 2.5, float("nan"), "10"])
 @pytest.mark.parametrize("make", [ConservationReporter, PressureReporter, BodyStateReporter])
 def test_impossible_intervals(tmp_path, make, interval):
-    with pytest.raises(ValueError, match=f"reportInterval must be .*, got {interval!r}$"):
+    with pytest.raises(ValueError, match=f"reportInterval .*{interval!r}$"):
         make(tmp_path / "file", interval)
     assert not any(tmp_path.iterdir())

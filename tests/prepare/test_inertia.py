@@ -86,18 +86,18 @@ def test_moments_that_no_masses_have():
     system, positions, bodies = patchy()
     texts = openmm.XmlSerializer.serialize(system)
     # All mass on the patches has 2/3 of M R^2, 16.7 dalton nm^2, less what the centre must have.
-    with pytest.raises(ValueError, match=r"no masses give atoms 0-6 the moments .*further out"):
+    with pytest.raises(ValueError, match=r"atoms 0-6 .*further out"):
         set_inertia(system, positions, bodies, 100, 3 * [20.0])
     with pytest.raises(ValueError, match="no masses give"):
         set_inertia(system, np.where([1, 1, 0], positions, 0.0), bodies, 100, 3 * [5.0])
     for moments in ([3, 2, 1], [1, 1, 3], [-1, 1, 1], [1, 1]):
         with pytest.raises(ValueError, match=r"moments must|no body has such moments"):
             set_inertia(system, positions, bodies, 100, moments)
-    with pytest.raises(ValueError, match="mass must be positive"):
+    with pytest.raises(ValueError, match="mass must be"):
         set_inertia(system, positions, bodies, 0, 3 * [5.0])
     with pytest.raises(ValueError, match="atoms with mass"):
         set_inertia(system, positions, [[]], 100, 3 * [5.0])
-    with pytest.raises(TypeError, match="in units like dalton nm"):
+    with pytest.raises(TypeError, match="dalton nm"):
         set_inertia(system, positions, bodies, 100, 3 * [5.0] * unit.dalton)
     assert openmm.XmlSerializer.serialize(system) == texts
 
@@ -107,7 +107,7 @@ def test_a_body_of_one_atom_has_its_mass_alone():
     system = assembled([3.0])
     set_inertia(system, np.zeros((1, 3)), [[0]], 5.0, 3 * [0.0])
     assert system.getParticleMass(0)._value == 5.0
-    with pytest.raises(ValueError, match="no masses give atoms 0 the moments 1, 1, 1"):
+    with pytest.raises(ValueError, match="moments 1, 1, 1"):
         set_inertia(system, np.zeros((1, 3)), [[0]], 5.0, 3 * [1.0])
 
 
@@ -115,7 +115,7 @@ def test_a_body_with_massless_patches_is_refused_with_a_remedy_that_works():
     """As bodies are in other programs, where the centre carries mass and moments."""
     positions = 0.1 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     system = assembled([50.0, 0, 0, 0, 0])
-    with pytest.raises(ValueError, match=r"atom 1 of atoms 0-4 has none.*setParticleMass\(1, 1\), which"):
+    with pytest.raises(ValueError, match=r"setParticleMass\(1, 1\)"):
         set_inertia(system, positions, [range(5)], 50.0, [0.5, 0.5, 0.5])
     for patch in range(1, 5):
         system.setParticleMass(patch, 1)

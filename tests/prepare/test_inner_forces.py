@@ -57,7 +57,7 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_pme_that_is_not_balanced_draws_a_warning_in_any_force(water, name):
     system = contained(water[1], name)
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*PME jumps"):
+    with pytest.warns(UserWarning, match=r"prepare_system\(system\)"):
         openmm.Context(system, SIERIntegrator(0.004), platform())
     prepare_system(system)
     with silence():
@@ -113,9 +113,7 @@ def judged(system, integrator):
 @pytest.mark.parametrize("name", ["ATMForce", "ConstantPotentialForce"])
 def test_librations_are_seen_wherever_the_charges_are(water, name):
     assert longest(contained(water[1], name)) == longest(water[1])
-    with pytest.warns(
-        UserWarning, match=r"A step of 20 fs is long: .*can swing among other molecules with a period of 31\.5 fs"
-    ):
+    with pytest.warns(UserWarning, match=r"20 fs is long: .*31\.5 fs"):
         judged(contained(water[1], name), SIERIntegrator(0.02, "SIER2"))
 
 
@@ -141,7 +139,7 @@ def test_steps_are_not_judged_by_collective_variables_of_all_pairs(water, name):
     system = contained(water[1], name)
     # Spins of water are left, which are slower than its librations.
     assert longest(system) > 2 * longest(water[1])
-    with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce.* is not known"):
+    with pytest.warns(UserWarning, match="cannot be judged.*CustomCVForce"):
         judged(system, SIERIntegrator(0.004))
 
 
@@ -165,7 +163,7 @@ def test_bonds_are_seen_within_a_sum_of_forces(kind):
     positions = np.array([[0, 0, 0], [0.1, 0, 0]])
     # The period is 2 pi sqrt(0.5/4e5) ps = 7.02 fs, and SIER4G is unstable from a tenth above half of it on.
     for one in (bare, system):
-        with pytest.raises(openmm.OpenMMException, match=r"is too long: the bond .* has a period of 7.02 fs"):
+        with pytest.raises(openmm.OpenMMException, match=r"bond .*7\.02 fs"):
             context_at(one, SIERIntegrator(0.006, SIER4G), (positions, 0 * positions), steps=1)
 
 
@@ -196,7 +194,7 @@ def test_drude_particles_are_refused_wherever_they_are():
     force = openmm.DrudeForce()
     force.addParticle(1, 0, -1, -1, -1, -1.0, 1e-3, 1, 1)
     system.addForce(at_rest(system, force))
-    with pytest.raises(openmm.OpenMMException, match="DrudeForce in ATMForce is a DrudeForce"):
+    with pytest.raises(openmm.OpenMMException, match="DrudeForce in ATMForce"):
         openmm.Context(system, SIERIntegrator(0.001, "SIER2"), platform())
 
 

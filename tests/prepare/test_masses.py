@@ -122,7 +122,7 @@ def test_beads_of_a_coarse_chain_are_no_hydrogens():
 def test_masses_that_change_nothing_are_reported():
     system = openmm.System()
     system.addParticle(40.0)
-    with pytest.warns(UserWarning, match="hydrogenMass has no effect: the System has no hydrogens"):
+    with pytest.warns(UserWarning, match="hydrogenMass has no effect: .*no hydrogens"):
         prepare_system(system, hydrogenMass=4)
 
 

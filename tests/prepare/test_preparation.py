@@ -337,7 +337,7 @@ def test_a_system_with_a_context_is_not_prepared(change, integrator):
     context = context_of(system, positions, integrator(0.001))
     # `getSystem` makes another Python object for the same System.
     for each in (system, context.getSystem()):
-        with pytest.raises(ValueError, match="this System already has one: prepare Systems before"):
+        with pytest.raises(ValueError, match="prepare Systems before"):
             change(each)
     assert openmm.XmlSerializer.serialize(system) == before
     change(copy.deepcopy(system))
@@ -352,7 +352,7 @@ def test_a_system_whose_context_was_refused_can_be_prepared():
     for _ in range(3):
         lines.addParticle(12.0)
     other = RigidBodies.from_system(lines)
-    with pytest.raises(ValueError, match="belong to a System of 180 particles") as refused:
+    with pytest.raises(ValueError, match="180 particles") as refused:
         context_of(system, positions, SIERIntegrator(0.001, "SIER2", bodies=other))
     prepare_system(system)
     assert refused.tb is not None
@@ -365,7 +365,7 @@ def test_a_system_whose_context_was_refused_can_be_prepared():
 def test_integrators_of_fourth_order_warn_about_pme(kind):
     _, positions, system = periodic_system("tip3p", 64)
     options = {"scheme": "SIER4G"} if kind == "hybrid Monte Carlo" else {}
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*SIER4G.* 1.2 to 1\.6 %") as caught:
+    with pytest.warns(UserWarning, match=r"prepare_system\(system\).*SIER4G.* 1\.2 to 1\.6 %") as caught:
         context_of(system, positions, INTEGRATORS[kind](**options))
     assert len(caught) == 1
     assert caught[0].filename == __file__
@@ -390,7 +390,7 @@ def test_a_free_group_is_taken_where_the_first_has_other_forces():
     force_of(system, openmm.HarmonicBondForce).setForceGroup(0)
     force_of(system, openmm.CustomExternalForce).setForceGroup(1)
     force_of(system, openmm.CustomNonbondedForce).setForceGroup(2)
-    with pytest.raises(ValueError, match="CustomExternalForce is in force group 1"):
+    with pytest.raises(ValueError, match=r"CustomExternalForce .*group 1"):
         prepare_system(system, fastForceGroup=1)
     with pytest.raises(ValueError, match="at most 31, got 32"):
         prepare_system(system, fastForceGroup=32)
@@ -414,9 +414,7 @@ def test_forces_that_were_regrouped_are_to_be_prepared_again(peptide, prepared, 
     system = copy.deepcopy(prepared)
     for number, force in enumerate(system.getForces()):
         force.setForceGroup(regroup(number))
-    with pytest.raises(
-        openmm.OpenMMException, match=r"was changed after prepare_system.*prepare_system\(system\) again"
-    ):
+    with pytest.raises(openmm.OpenMMException, match=r"prepare_system\(system\) again"):
         context_of(system, peptide[1], SIERIntegrator(0.002))
     (group,) = prepare_system(system).fastForceGroups
     integrator = SIERIntegrator(0.002)
@@ -436,7 +434,7 @@ def test_forces_that_are_added_later_stay_in_the_kicks(peptide, prepared):
         context_of(system, peptide[1], integrator)
     assert integrator.fastForceGroups == {FAST}
     restraint.setForceGroup(FAST)
-    with pytest.raises(openmm.OpenMMException, match="CustomBondForce was changed after prepare_system"):
+    with pytest.raises(openmm.OpenMMException, match="CustomBondForce was changed"):
         context_of(system, peptide[1], SIERIntegrator(0.002))
 
 
@@ -447,12 +445,12 @@ def test_bodies_as_plain_lists():
     system = methanols_of(2)
     heavy = [[0, 1, 2, 3], [4, 5], [6, 7, 8, 9], [10, 11]]
     assert prepare_system(system, heavy).fastForceGroups == {1}
-    with pytest.raises(TypeError, match=r"bodies must be .* lists of particle indices, got a mask of True and False"):
+    with pytest.raises(TypeError, match=r"bodies must be .*got a mask"):
         prepare_system(system, bodies=[[True, False, True]])
 
 
 def test_a_simulation_is_refused_with_what_to_give():
     system, positions = system_of(chains())
     context = started(system, SIERIntegrator(0.001, "SIER2"), positions)
-    with pytest.raises(TypeError, match=r"system must be an openmm.System, got a SIERContext: give the System itself"):
+    with pytest.raises(TypeError, match=r"system must be .*got a SIERContext"):
         prepare_system(context)

@@ -174,6 +174,6 @@ def test_a_step_that_is_too_long_is_not_answered_by_inner_steps():
     integrator = SIERIntegrator(0.4, "SIER4G")
     context = openmm.Context(system, integrator, platform())
     context.setPositions(positions)
-    with pytest.raises(openmm.OpenMMException, match=r"Take a shorter step \(--dt\), or constrain the bond") as refused:
+    with pytest.raises(openmm.OpenMMException, match=r"\(--dt\), or constrain the bond") as refused:
         integrator.step(1)
     assert "prepare_system" not in str(refused.value)

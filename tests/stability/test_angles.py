@@ -101,5 +101,5 @@ def test_light_hydrogens_of_water_bend_too_fast(water, engine):
 
 def test_in_kicks_an_angle_is_judged_as_a_bond(water):
     """SIER4G is unstable there from 7.8 fs on."""
-    with pytest.raises(openmm.OpenMMException, match=r"the angle of atoms .* unstable from 7.8.*Call prepare_system"):
+    with pytest.raises(openmm.OpenMMException, match=r"7\.8.*Call prepare_system"):
         judged(water, SIERIntegrator(0.009, SIER4G))

@@ -45,7 +45,7 @@ def test_steps_in_use_are_taken(model, engine):
     for integrator in (SIERIntegrator(0.012, engine=engine), SIERIntegrator(0.004, "SIER2", engine=engine)):
         with pytest.warns(
             UserWarning,
-            match=r"is long: .* and similar bodies can swing among other molecules with a period of 31\.5 fs",
+            match=r"is long: .*31\.5 fs",
         ):
             judged(system, integrator)
 
@@ -76,7 +76,7 @@ def test_a_step_at_which_the_energy_walks(engine):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_picoseconds_in_place_of_femtoseconds(engine):
     _, positions, system = cluster_system(3)
-    with pytest.raises(openmm.OpenMMException, match=r"A step of 6 ps is too long: .* give 6\*unit\.femtoseconds"):
+    with pytest.raises(openmm.OpenMMException, match=r"6\*unit\.femtoseconds"):
         judged(system, SIERIntegrator(6, engine=engine))
     integrator = SIERIntegrator(0.006, engine=engine)
     context = context_at(system, integrator, (positions, 0 * positions))
@@ -130,7 +130,7 @@ def behind_hydrogens(count):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_every_atom_counts(engine):
     """Charges of one atom of a mass say nothing of the others: those of water may come after a large solute."""
-    with pytest.warns(UserWarning, match=r"is long: .* swing among other molecules with a period of 31\.5 fs"):
+    with pytest.warns(UserWarning, match=r"is long: .*31\.5 fs"):
         judged(behind_hydrogens(200), SIERIntegrator(0.012, engine=engine))
 
 

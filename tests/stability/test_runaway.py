@@ -123,7 +123,7 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity,
     watch = integrator.impl.session.watch
     watch.begin(context)
     openmm.Context.setVelocities(context, np.full((100, 3), velocity))
-    with pytest.raises(runaway.RunawayError, match=f"Steps of 2 fs {complaint}"):
+    with pytest.raises(runaway.RunawayError, match=f"2 fs {complaint}"):
         watch.look(context, 0.002)
 
 

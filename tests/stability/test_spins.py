@@ -55,13 +55,13 @@ def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
     with silence():
         context.getIntegrator().setStepSize(1.02 * limit)
     aliased = np.pi / np.sqrt(GAS_CONSTANT * 300 / moment(177))
-    with pytest.raises(openmm.OpenMMException, match=r"is too long: .* turn about it by 3\.2 radians"):
+    with pytest.raises(openmm.OpenMMException, match=r"too long: .*3\.2 radians"):
         made(system, make(1.01 * aliased, engine=engine))
 
 
 def test_the_temperature_of_a_bath_counts():
     system, _ = trimers(177)
-    with pytest.warns(UserWarning, match="At 300 K they turn about"):
+    with pytest.warns(UserWarning, match="300 K"):
         made(system, SIERLangevinIntegrator(300, 1, 0.008), silently=False)
     made(system, SIERLangevinIntegrator(60, 1, 0.008))
     made(system, SIERLangevinIntegrator(0, 1, 0.008))
@@ -74,7 +74,7 @@ def test_where_nothing_turns_them():
     without, _ = trimers(178)
     without.removeForce(0)
     made(without, SIERIntegrator(0.006, "SIER2"))
-    with pytest.warns(UserWarning, match="is long: the body of atoms 0, 1, 2"):
+    with pytest.warns(UserWarning, match="is long: .*atoms 0, 1, 2"):
         made(with_forces(alone, field("100*y^2", range(3))), SIERIntegrator(0.006, "SIER2"), silently=False)
 
 
@@ -100,7 +100,7 @@ def named(degrees):
 
 def test_the_spins_of_named_bodies_count():
     system, _, bodies = named(177)
-    with pytest.raises(openmm.OpenMMException, match="A step of 20 fs is too long: the body of atoms 0, 1, 2"):
+    with pytest.raises(openmm.OpenMMException, match=r"20 fs is too long: .*atoms 0, 1, 2"):
         made(system, SIERIntegrator(0.02, bodies=bodies), silently=False)
     # Those within the rounding of a PDB file of a line are put onto it.
     system, positions, bodies = named(179.9)

@@ -72,7 +72,7 @@ def test_a_long_step_draws_one_warning_and_a_short_one_none(flexible):
         integrator = SIERIntegrator(0.99 * accurate, SIER4G)
         context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     integrator.setStepSize(1.01 * accurate)
-    with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as caught:
+    with pytest.warns(UserWarning, match=r"3\.\d* fs is long: the bond") as caught:
         integrator.step(1)
     assert caught[0].filename == __file__
     with silence():
@@ -168,7 +168,7 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
     period = 2 * math.pi / math.sqrt(1e5 * inverse)
     stable, _ = limits(SIER2, period)
     judged(system, SIERIntegrator(0.999 * stable, "SIER2"))
-    with pytest.raises(openmm.OpenMMException, match=f"period of {1000 * period:.3g} fs"):
+    with pytest.raises(openmm.OpenMMException, match=f"{1000 * period:.3g} fs"):
         judged(system, SIERIntegrator(1.001 * stable, "SIER2"))
 
 
@@ -309,7 +309,7 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
     _, _, system = cluster_system(3, rigidWater=False)
     prepare_system(system)
     for h in (0.0045, 0.006, 0.009):
-        with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
+        with pytest.raises(openmm.OpenMMException, match="More inner steps do not help"):
             judged(system, SIERIntegrator(h, SIER4G, engine=engine, substeps=8))
     judged(system, SIERIntegrator(0.004, SIER4G, engine=engine, substeps=8))
     # With a bath at 9 fs, 0.58 periods, bonds are shorter than in vacuum, and energies an eighth too high.
@@ -399,10 +399,10 @@ def test_steps_in_the_window_are_refused():
 
     with silence():
         checked(0.999 * RESONANCE)
-    with pytest.warns(UserWarning, match=r"is long for the bond .* more than twice in each period"):
+    with pytest.warns(UserWarning, match="more than twice in each period"):
         checked(0.999 * (1 - share) / 2)
     for step in (1.001 * (1 - share) / 2, 0.5, 0.999 / (1 - share) / 2, 1.001 * DESTROYED):
-        with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
+        with pytest.raises(openmm.OpenMMException, match="More inner steps do not help"):
             checked(step)
     # A warning, which is not given again.
     checked(1.001 / (1 - share) / 2)
@@ -419,7 +419,7 @@ def test_a_bond_softer_than_its_surroundings_has_a_longest_step():
     check = StepCheck(system, RigidBodies.from_system(system))
     period = 2 * math.pi / math.sqrt(8000 / 6)
     method = IntegrationMethod(SIER4G, 0.4 * period, substeps=100, fast_groups=1)
-    with pytest.raises(openmm.OpenMMException, match=r"too long for the bond .*Take up to [1-9]\d\.\d fs"):
+    with pytest.raises(openmm.OpenMMException, match=r"Take up to [1-9]\d\.\d fs"):
         check(method, 3)
 
 
@@ -441,6 +441,6 @@ def test_a_drude_force_is_refused_with_what_to_take():
     drude.addParticle(1, 0, -1, -1, -1, -1.7, 1e-3, 1, 1)
     system.addForce(drude)
     integrator = SIERIntegrator(0.001, "SIER2")
-    with pytest.raises(openmm.OpenMMException, match=r"DrudeForce.*openmm\.DrudeLangevinIntegrator"):
+    with pytest.raises(openmm.OpenMMException, match="DrudeLangevinIntegrator"):
         openmm.Context(system, integrator, platform())
     openmm.Context(diatomic(), integrator, platform())

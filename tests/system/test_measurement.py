@@ -154,7 +154,7 @@ def test_a_stiff_restraint_is_refused_by_what_causes_it():
     system = assembled([1.0], field("k*x^2/2", [0], k=1e6))
     integrator = SIERIntegrator(0.006, SIER2)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
-    with pytest.raises(openmm.OpenMMException, match="the motion of atom 0 by CustomExternalForce is"):
+    with pytest.raises(openmm.OpenMMException, match="atom 0 by CustomExternalForce"):
         integrator.step(1)
     assert context.getStepCount() == 0
 
@@ -189,7 +189,7 @@ def test_a_force_whose_bonds_many_overlaps_hide_is_named():
     integrator = SIERIntegrator(0.001, "SIER2")
     x = np.array(x)
     context = context_at(system, integrator, (x, 0 * x))
-    with pytest.warns(UserWarning, match="A step of 1 fs cannot be judged, since the stiffness of CustomBondForce"):
+    with pytest.warns(UserWarning, match="1 fs cannot be judged.*CustomBondForce"):
         integrator.impl.engine.step_check(integrator.impl.method(), 1, context)
 
 
@@ -243,7 +243,7 @@ def test_a_measurement_that_is_interrupted_is_made_again(monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             integrator.step(1)
     assert np.array_equal(phase_point(context), before)
-    with pytest.raises(openmm.OpenMMException, match="is too long: the bond between atoms 0 and 1"):
+    with pytest.raises(openmm.OpenMMException, match="bond between atoms 0 and 1"):
         integrator.step(1)
     assert context.getStepCount() == 0
 
@@ -352,7 +352,7 @@ def test_a_bias_draws_no_word_and_a_stiff_one_is_refused(engine):
     stiff.setName("bias")
     integrator = SIERIntegrator(0.009, SIER2, engine=engine)
     context = context_at(assembled([1.0, 16.0], stiff), integrator, (x, 0 * x))
-    with pytest.raises(openmm.OpenMMException, match=r"the motion of atom 0 by bias .* a period of 8\.96 fs"):
+    with pytest.raises(openmm.OpenMMException, match=r"atom 0 by bias .*8\.96 fs"):
         integrator.step(1)
     assert context.getStepCount() == 0
 
@@ -370,7 +370,7 @@ def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
     prepare_system(system)
     integrator = SIERIntegrator(0.006, SIER4G, engine=engine, substeps=8)
     context = context_at(system, integrator, (positions, 0 * np.array(positions)))
-    with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond between atoms \d and \d"):
+    with pytest.raises(openmm.OpenMMException, match=r"bond between atoms \d and \d"):
         integrator.step(1)
     assert context.getStepCount() == 0
 

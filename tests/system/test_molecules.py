@@ -118,7 +118,7 @@ def test_a_broken_molecule_is_refused_with_residue_and_distance(peptide, constra
     moved[oxygen.index] += [0, 1.0, 0.3]
     hydrogens = [atom.index for atom in oxygen.residue.atoms()][1:]
     distance = np.linalg.norm(moved[hydrogens] - moved[oxygen.index], axis=1).max()
-    with pytest.raises(ValueError, match="a molecule is broken") as refusal:
+    with pytest.raises(ValueError, match="broken") as refusal:
         make_whole(system, moved, topology)
     message = str(refusal.value)
     assert f"O of HOH {oxygen.residue.id} and H" in message
@@ -135,13 +135,13 @@ def test_bonds_of_the_topology_alone_count_too(peptide):
     positions = positions.copy()
     positions[0] += 0.5
     assert np.array_equal(make_whole(system, positions), positions)
-    with pytest.raises(ValueError, match=r"of ACE 1 are bonded, but are .*is the bond left from another file"):
+    with pytest.raises(ValueError, match=r"ACE 1 .*left from another file"):
         make_whole(system, positions, topology)
 
 
 def test_positions_of_another_shape_are_refused(peptide):
     _, positions, systems = peptide
-    with pytest.raises(ValueError, match=rf"shape \({len(positions)}, 3\), one row per particle, got \(5, 3\)"):
+    with pytest.raises(ValueError, match=rf"\({len(positions)}, 3\).*got \(5, 3\)"):
         make_whole(systems["none"], positions[:5])
 
 

@@ -61,7 +61,7 @@ def test_a_box_of_another_water_model_is_corrected_with_one_warning():
     topology, _, system = cluster_system(6, "tip3p")
     integrator = SIERIntegrator(0.001, "SIER2", bodies=RigidBodies.from_system(system, topology))
     context = context_at(system, integrator, (positions, 0 * positions))
-    with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape of their constraints") as caught:
+    with pytest.warns(UserWarning, match="6 of 6 bodies") as caught:
         integrator.step(1)
     assert len(caught) == 1
     assert caught[0].filename == __file__
@@ -88,7 +88,7 @@ def test_rounding_draws_no_warning():
 def test_exchanged_atoms_are_refused(rng):
     """Atoms in another order than the System's: an oxygen where a hydrogen is to be is 0.08 nm off its place."""
     bodies, x = waters_of("TIP3P", 3), turned_at_random(water("TIP3P"), rng, 3)
-    with pytest.raises(RigidityError, match=r"atoms 3, 4, 5 does not fit its rigid shape.*\(1 of 3 bodies fail\)"):
+    with pytest.raises(RigidityError, match=r"atoms 3, 4, 5 .*1 of 3 bodies"):
         bodies.fit(x[[0, 1, 2, 4, 3, 5, 6, 7, 8]])
 
 
@@ -99,7 +99,7 @@ def test_small_bodies_are_recognized_within_a_fraction_of_their_distances(rng):
     assert waters_of("TIP3P", 1).species[0].tolerance == FIT_TOLERANCE
     # Two particles at one place are not to be told apart, and a point has no place to miss.
     assert Species.from_coordinates([[0, 1]], [1.0, 1.0], np.zeros((2, 3))).tolerance == FIT_TOLERANCE
-    with pytest.raises(RigidityError, match=r"only 0.005 nm or less is corrected"):
+    with pytest.raises(RigidityError, match=r"0\.005 nm"):
         RigidBodies([small], 2).fit(np.array([[0, 0, 0], [0.032, 0, 0]]))
 
 

@@ -73,9 +73,7 @@ def test_constraints_that_it_cannot_satisfy(name):
     for nowhere in (np.zeros_like(molecule.places), molecule.places + 3.0 * np.eye(len(molecule.masses))[:, :1]):
         assert tried.unsolved(lambda nowhere=nowhere: nowhere) == ()
     assert tried.unsolved(lambda: molecule.places) == tuple(range(len(molecule.masses)))
-    with pytest.raises(
-        openmm.OpenMMException, match=r"cannot satisfy the constraints of atoms 0, 1, 2.*engine='exact'"
-    ):
+    with pytest.raises(openmm.OpenMMException, match=r"atoms 0, 1, 2.*engine='exact'"):
         tried.refuse(lambda: molecule.places)
 
 

@@ -1,51 +1,13 @@
 """XML is read only as far as it is OpenMM's, and OpenMM gets the checked content."""
 
 import io
-import itertools
 
 import openmm
 import pytest
 
-from openmm_sier.system.untrusted_files import (
-    ContentError,
-    open_regular,
-    read_state,
-    read_system,
-    read_within,
-)
+from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_system
 from tests.support.force_examples import EXAMPLES, system_of
 from tests.support.waters import plain_context
-
-BEGIN = b'<State type="State" version="1" time="0">'
-
-#: Bytes beyond which a reader does not end by itself. It stops far earlier.
-ENOUGH = 2**26
-
-
-class Endless:
-    """A stream of a beginning and of copies of a piece."""
-
-    def __init__(self, beginning, piece):
-        self._pieces = itertools.chain([beginning], itertools.repeat(piece))
-        self._rest = b""
-        self.count = 0
-
-    def read(self, size):
-        while len(self._rest) < size:
-            self._rest += next(self._pieces)
-        content, self._rest = self._rest[:size], self._rest[size:]
-        self.count += size
-        if self.count > ENOUGH:
-            pytest.fail("it is read without end")
-        return content
-
-
-def test_bytes_are_read_up_to_a_bound():
-    assert read_within(io.BytesIO(b"four"), 4) == b"four"
-    with pytest.raises(ContentError):
-        read_within(Endless(b"", b"1"), 1000)
-    with pytest.raises(ContentError):
-        read_state(Endless(BEGIN, b" " * 1000), particles=10)
 
 
 @pytest.mark.parametrize("xml", [b"", b"none", b"<State", b"\xff\xfe", b"<System type='System'/><a/>"])
@@ -108,7 +70,7 @@ def test_a_force_is_no_function(name):
     place, element = MISPLACED[name]
     xml = openmm.XmlSerializer.serialize(hard_system())
     assert place in xml
-    with pytest.raises(ContentError, match="where OpenMM expects another object"):
+    with pytest.raises(ContentError, match="another object"):
         read_system(io.BytesIO(xml.replace(place, element, 1).encode()))
 
 
@@ -124,7 +86,7 @@ def test_elements_are_nested_up_to_a_bound():
     xml = openmm.XmlSerializer.serialize(system)
     assert openmm.XmlSerializer.serialize(read_system(io.BytesIO(xml.encode()))) == xml
     deep = xml.replace("<Forces>", "<Forces>" + 10**6 * "<a>" + 10**6 * "</a>", 1)
-    with pytest.raises(ContentError, match="elements within each other"):
+    with pytest.raises(ContentError, match="within each other"):
         read_system(io.BytesIO(deep.encode()))
 
 
@@ -144,7 +106,7 @@ def test_all_numbers_of_a_state_are_finite(name, value):
     assert openmm.XmlSerializer.serialize(read_state(io.BytesIO(xml.encode()))) == xml
     old = f'{name}=".5"'
     assert old in xml
-    with pytest.raises(ContentError, match="it has numbers that are not finite"):
+    with pytest.raises(ContentError, match="not finite"):
         read_state(io.BytesIO(xml.replace(old, f'{name}="{value}"', 1).encode()))
 
 
@@ -155,7 +117,7 @@ def test_openmm_gets_all_of_a_state():
     context = plain_context(system, [[0.1 * i, 0, 1e-300] for i in range(4)])
     state = context.getState(positions=True, velocities=True, forces=True, energy=True, parameters=True)
     xml = openmm.XmlSerializer.serialize(state)
-    assert openmm.XmlSerializer.serialize(read_state(io.BytesIO(xml.encode()), 4)) == xml
+    assert openmm.XmlSerializer.serialize(read_state(io.BytesIO(xml.encode()))) == xml
 
 
 def test_directories_are_distinguished_from_other_things(tmp_path):

@@ -127,5 +127,5 @@ def test_frozen_ions_and_anchors_are_accepted():
 def test_water_of_four_sites_without_a_third_bond_has_a_hint(monkeypatch):
     """OpenMM's reader multiplies a number by None there."""
     monkeypatch.setattr(app.AmberPrmtopFile, "createSystem", lambda *_, **__: 1.5 * None)
-    with pytest.raises(ForceFieldError, match=r"amber.prmtop: unsupported .* lack the bond between its hydrogens\?"):
+    with pytest.raises(ForceFieldError, match=r"amber\.prmtop: .*bond between its hydrogens"):
         read_input(INPUTS / "amber.inpcrd", INPUTS / "amber.prmtop")

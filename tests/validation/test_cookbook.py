@@ -70,7 +70,7 @@ def test_energies_of_a_flexible_molecule_by_force_group(chain, engine):
         temperature = simulation.integrator.computeSystemTemperature()
     assert temperature > 0 * KELVIN
     before = phase_point(simulation.context)
-    with pytest.raises(openmm.OpenMMException, match=r"A step of 4 fs is too long: the bond between"):
+    with pytest.raises(openmm.OpenMMException, match="4 fs is too long: the bond"):
         simulation.step(1)
     assert simulation.context.getStepCount() == 0
     np.testing.assert_array_equal(phase_point(simulation.context), before)

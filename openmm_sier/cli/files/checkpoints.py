@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import openmm
@@ -18,19 +18,13 @@ from openmm_sier.cli.fields import Name
 from openmm_sier.cli.files import records
 from openmm_sier.cli.settings import MOST_STEPS
 from openmm_sier.inputs.pdb_files import LONGEST
-from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_within
+from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state
 
 #: Version of the content of checkpoints.
 FORMAT = 1
 
 #: The name of the platform in the notes.
 PLATFORM = "Platform"
-
-#: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
-MOST_NOTES = 2**24
-
-#: Most values in them, counted by the characters before values. As objects of Python they need far more memory.
-MOST_VALUES = 2**20
 
 #: Errors of zip, JSON and OpenMM for other content. A RuntimeError is raised for passwords and for lists that are
 #: nested too deeply.
@@ -103,21 +97,17 @@ def write_checkpoint(path: Path, state: openmm.State, notes: Notes) -> None:
     records.replace(path, content.getbuffer())
 
 
-def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, Notes]:
+def read_checkpoint(path: Path) -> tuple[openmm.State, Notes]:
     """Return the State and the notes of a checkpoint.
-
-    Args:
-        path: of the file.
-        particles: number in its System, which limits the length of its State; None if unknown.
 
     Raises:
         RecordError: the file is damaged, is not a checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
     with _opened(path) as archive:
-        noted = _notes(archive)
-        with _part(archive, "state.xml") as content:
-            state = read_state(content, particles)
+        noted = json.loads(archive.read("notes.json"))
+        with archive.open("state.xml") as content:
+            state = read_state(content)
     notes = _checked(path, noted)
     if (step := state.getStepCount()) != notes.step:
         raise _damaged(path, f"its State is of step {step}, and its note step says {notes.step}")
@@ -139,7 +129,7 @@ def _check_contents(path: Path, state: openmm.State) -> None:
 def read_notes(path: Path) -> Notes:
     """Return the notes of a checkpoint without reading its State; see `read_checkpoint`."""
     with _opened(path) as archive:
-        noted = _notes(archive)
+        noted = json.loads(archive.read("notes.json"))
     return _checked(path, noted)
 
 
@@ -153,21 +143,6 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise _damaged(path, str(error)) from None
     except _UNREADABLE as error:
         raise _damaged(path, "it cannot be read, or was cut off") from error
-
-
-def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    """Open a part of a checkpoint with one of the compressions of `write_checkpoint`."""
-    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise zipfile.BadZipFile
-    return archive.open(name)
-
-
-def _notes(archive: zipfile.ZipFile) -> Any:
-    with _part(archive, "notes.json") as content:
-        text = read_within(content, MOST_NOTES)
-    if sum(map(text.count, (b",", b"[", b"{"))) > MOST_VALUES:
-        raise ContentError(f"its notes have more than {MOST_VALUES} values")
-    return json.loads(text)
 
 
 def _checked(path: Path, noted: Any) -> Notes:

@@ -2,9 +2,8 @@
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 from openmm_sier.cli import pictures, summary
 from openmm_sier.cli.console import note, progress_bar
@@ -23,32 +22,31 @@ from openmm_sier.inputs.equilibration import platform_for
 UNSETTLED = "not equilibrated"
 
 
-def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None, scheduler: str | None) -> None:
+def execute(given: RunSettings, seeds: Sequence[int], workers: int | None, scheduler: str | None) -> None:
     """Run `openmm-sier run --seeds`.
 
     Args:
-        chosen: options of the user by name.
+        given: settings that the user chose, and defaults.
         seeds: of the members.
         workers: number of parallel runs on this machine; None for a number that suits its platform.
         scheduler: address of a scheduler of Dask; None for this machine.
 
     Raises:
-        Misused: options contradict each other.
+        Misused: settings contradict each other.
         RunError: members failed; the message has each complaint once.
         Stopped: a signal stopped the members.
         ForceFieldError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
-    options = {name: value for name, value in chosen.items() if not _is_usual(name, value)}
-    picture = options.pop("plot", None)
-    _check(options, workers, scheduler)
+    _check(given, workers, scheduler)
     if scheduler is None:
-        check_platform(options.get("platform"))
-    settings = new_settings(options)
+        check_platform(given.platform)
+    settings = new_settings(given)
     members = [named(settings.out, seed) for seed in seeds]
-    if picture:
-        pictures.check(picture, [settings.box, *members], settings.overwrite, log=Member(seeds[0], members[0]).log)
-    box, out = options.pop("box"), options.pop("out", None)
-    at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
+    if given.plot:
+        pictures.check(given.plot, [settings.box, *members], settings.overwrite, log=Member(seeds[0], members[0]).log)
+    # A switch that is off as by default is no option of a command line.
+    options = {name: value for name, value in given.chosen.items() if not _is_usual(name, value)}
+    at_a_time = None if scheduler else min(workers or _usual_workers(given.platform), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
     number = "1 run" if len(seeds) == 1 else f"{len(seeds)} runs"
     note(f"{number} of {settings.title}, to step {settings.length(settings.steps)}, {where}")
@@ -63,14 +61,12 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
 
         try:
             ended = run_many(
-                box,
-                seeds,
-                out=out,
+                seeds=seeds,
                 workers=at_a_time,
                 scheduler=scheduler,
                 watch=watch,
                 stop=lambda: requests.received is not None,
-                **options,
+                **{name: value for name, value in options.items() if name != "plot"},
             )
         except RunsError as error:
             raise RunError(
@@ -85,7 +81,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
         note(f"no means: a log needs {FEWEST_ROWS} rows or more. Lower --report-every")
         return
-    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None, overwrite=True)
+    summary.execute([member.log for member in ended], json=None, plot=given.plot, skip=None, overwrite=True)
 
 
 @contextmanager
@@ -101,15 +97,15 @@ def _dask_in_silence() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
-    """Refuse options that many runs cannot have."""
-    if options.get("restart"):
+def _check(given: RunSettings, workers: int | None, scheduler: str | None) -> None:
+    """Refuse settings that many runs cannot have."""
+    if given.restart:
         raise Misused("--seeds continues each run that has a checkpoint: leave out --restart")
-    if options.get("seed") is not None:
+    if "seed" in given.chosen:
         raise Misused("--seed and --seeds both set seeds: give one of them")
     if workers and scheduler:
         raise Misused("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
-    if options.get("report"):
+    if "report" in given.chosen:
         raise Misused("--report names one file, but the logs of --seeds are named after --out: leave out --report")
 
 

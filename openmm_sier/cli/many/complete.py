@@ -1,35 +1,35 @@
 """Find out whether a run is complete without a process for it, which would load OpenMM to say so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
 
-from openmm_sier.cli.command_line import options_of
+from openmm_sier.cli.command_line import settings_of
 from openmm_sier.cli.errors import NothingLeft
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.restart import Restart, checkpoint_to_continue
+from openmm_sier.cli.settings import RunSettings
 
 
-def options_in(line: Sequence[str]) -> dict[str, Any] | None:
-    """Return the options in a command line, after `openmm-sier`; None if it is wrong, as the process of a run says."""
+def settings_in(line: Sequence[str]) -> RunSettings | None:
+    """Return the settings in a command line, after `openmm-sier`; None if it is wrong, as the process of a run says."""
     with suppress(Exception):
-        return options_of(line)
+        return settings_of(line)
     return None
 
 
-def is_complete(options: Mapping[str, Any]) -> bool:
+def is_complete(given: RunSettings) -> bool:
     """Return whether a run has reached its last step, and all its files are as it left them.
 
     Args:
-        options: of its command line, with `resume`.
+        given: settings of its command line, with `resume`.
     """
     # Whatever is wrong is reported by the process of the run.
     with suppress(Exception), FileLocks() as locks:
-        checkpoint = checkpoint_to_continue(options, locks)
+        checkpoint = checkpoint_to_continue(given, locks)
         if checkpoint is None:
             return False
-        beginning = Restart(options, checkpoint)
+        beginning = Restart(given, checkpoint)
         outputs = Outputs(beginning.settings, checkpoint)
         outputs.check(beginning.sources.values(), beginning.continues)
         try:

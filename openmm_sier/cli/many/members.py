@@ -136,13 +136,13 @@ def run_many(
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: command_of(box, member, options) for member in members}
     # It parses command lines, whose module imports this one.
-    from openmm_sier.cli.many.complete import is_complete, options_in
+    from openmm_sier.cli.many.complete import is_complete, settings_in
 
     watch = watch or (lambda _: None)
     # To parse a line takes ten times as long as all else.
-    shared = options_in(lines[seeds[0]]) if members else None
+    shared = settings_in(lines[seeds[0]]) if members else None
     for number, member in enumerate(members):
-        if shared is not None and not stop() and is_complete(shared | own_options(member, options)):
+        if shared is not None and not stop() and is_complete(shared.model_copy(update=own_options(member, options))):
             member.state = "complete"
             _update_step(member)
         if number % WATCHED == 0:

@@ -109,5 +109,5 @@ def test_arguments(rng, turned):
     none = turned(A[:, :, :0], L[:, :0], WATER, 0.1)
     assert none[0].shape == (3, 3, 0)
     assert none[1].shape == (3, 0)
-    with pytest.raises(ValueError, match="angular momentum of body 2"):
+    with pytest.raises(ValueError, match="body 2"):
         turned(A, np.where(np.arange(4) == 2, np.nan, L), WATER, 0.1)

@@ -40,7 +40,7 @@ def test_misprint_in_the_scheme():
 
     printed, mended = 1 - 2 * (h1 + h2), 1 - 2 * (h1 + h3)
     assert 2 * (h1 + h3) + printed == pytest.approx(-0.5064, abs=1e-4)
-    with pytest.raises(ValueError, match=r"fractions of 'kick' must sum to 1, got -0\.506"):
+    with pytest.raises(ValueError, match=r"'kick' .*-0\.506"):
         scheme(printed)
     assert scheme(mended).order == 4
     fractions = [[stage.fraction for stage in s.stages] for s in (scheme(mended), SIER4)]
