@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+
+import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from studies.hmc import trials
@@ -20,26 +23,38 @@ OWN_BATH = f"SIER2, {IN_A_BATH:g} fs"
 OWN_ON_A_CPU, MIDDLE_ON_A_CPU = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle"
 
 
-def gains_of_whole_runs(record: Record) -> Mapping[str, float]:
-    """Of all liquids, sizes and lengths at the usual step."""
+#: ps of the shortest run that tells a drift, and how the energy walks.
+LONG = 50.0
+
+
+def usual_gains(record: Record) -> pd.DataFrame:
+    """Of all liquids, sizes and tolerances at the usual step, in runs that are long."""
     gains = record.tables["gains"]
-    usual = gains[gains["step"] == USUAL]["gain"]
+    return gains[(gains["step"] == USUAL) & (gains["time"] >= LONG)]
+
+
+def gains_of_whole_runs(record: Record) -> Mapping[str, float]:
+    usual = usual_gains(record)["gain"]
     # The largest is rounded down, which claims no more than there is.
     return {"least": usual.min(), "most": int(usual.max()), "count": len(usual)}
+
+
+def extremes(rows: pd.DataFrame, name: str) -> dict[str, float]:
+    """Return the least and the largest of a column, with their errors."""
+    ends = {"least": rows.loc[rows[name].idxmin()], "most": rows.loc[rows[name].idxmax()]}
+    return {f"{end}{of}": row[f"{name}{of}"] for end, row in ends.items() for of in ("", "_error")}
 
 
 def price_at_constant_energy(record: Record) -> Mapping[str, float]:
     """Speed of SIER4G at its usual step over that of Verlet at 2 fs, in all boxes."""
     rows = record.tables["speeds"]
-    speeds = rows[rows["name"] == f"SIER4G, {USUAL:g} fs"]["over"]
-    return {"least": speeds.min(), "most": speeds.max()}
+    return extremes(rows[rows["name"] == f"SIER4G, {USUAL:g} fs"], "over")
 
 
 def price_on_a_gpu(record: Record) -> Mapping[str, float]:
     """Speed of SIER4G at its usual step over that of LangevinMiddle at 4 fs, in all boxes."""
     rows = record.tables["speeds"]
-    speeds = rows[rows["method"] == f"SIER4G, {USUAL:g} fs"]["over"]
-    return {"least": speeds.min(), "most": speeds.max()}
+    return extremes(rows[rows["method"] == f"SIER4G, {USUAL:g} fs"], "over")
 
 
 def gain(**conditions: object) -> Callable[[Record], Mapping[str, float]]:
@@ -47,8 +62,7 @@ def gain(**conditions: object) -> Callable[[Record], Mapping[str, float]]:
 
 
 def drifts(record: Record) -> Mapping[str, float]:
-    gains = record.tables["gains"]
-    usual = gains[gains["step"] == USUAL]
+    usual = usual_gains(record)
     return {"off": (usual["drift"].abs() / usual["its_error"]).max(skipna=False)}
 
 
@@ -101,21 +115,26 @@ def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     return {**solutes_on_a_cpu(record), "least": water.min()}
 
 
-def _over_middle(record: Record, box: str, method: str) -> float:
-    return one(record.tables["speeds"], box=box, name=method)["over_middle"]
+def _over_middle(record: Record, box: str, method: str) -> tuple[float, float]:
+    """Speed over that of LangevinMiddle at 4 fs, with its error."""
+    row = one(record.tables["speeds"], box=box, name=method)
+    return row["over_middle"], row["over_middle_error"]
 
 
 def solutes_on_a_cpu(record: Record) -> Mapping[str, float]:
-    gains = {box: _over_middle(record, box, OWN_ON_A_CPU) for box in ("dhfr", "peptide")}
-    return gains | {"rival": max(_over_middle(record, box, f"{MIDDLE_ON_A_CPU}, 5 fs") for box in gains)}
+    figures = dict[str, float]()
+    for box in ("dhfr", "peptide"):
+        figures[box], figures[f"{box}_error"] = _over_middle(record, box, OWN_ON_A_CPU)
+    rivals = [_over_middle(record, box, f"{MIDDLE_ON_A_CPU}, 5 fs") for box in ("dhfr", "peptide")]
+    figures["rival"], figures["rival_error"] = max(rivals)
+    return figures
 
 
 def water_on_a_cpu(record: Record) -> Mapping[str, float]:
-    rows = record.tables["rows"]
-    sier2, middle = (
-        one(rows, box="tip3p-512", at="1 bar", method=method) for method in (OWN_BATH, "LangevinMiddle, 9 fs")
-    )
-    return {"own": sier2["over"], "middle": middle["over"]}
+    """Of 4096 molecules."""
+    own = _over_middle(record, "water-4096", OWN_ON_A_CPU)
+    middle = _over_middle(record, "water-4096", f"{MIDDLE_ON_A_CPU}, {IN_A_BATH:g} fs")
+    return {"own": own[0], "own_error": own[1], "middle": middle[0], "middle_error": middle[1]}
 
 
 #: Boxes in which usual trials are compared with LangevinMiddle.
@@ -137,9 +156,10 @@ def savings_of_trials(record: Record) -> Mapping[str, float]:
 
 def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
     rows, name = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs"
-    figures = {
-        kind: one(rows, method=name, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))
-    }
+    figures = dict[str, float]()
+    for kind, box in (("water", "water-4096"), ("dhfr", "dhfr")):
+        row = one(rows, method=name, box=box)
+        figures |= {kind: row["over"], f"{kind}_error": row["over_error"]}
     middle = one(rows, method=f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens", box="water-4096")
     return {**figures, "middle": middle["over"]}
 
@@ -284,6 +304,9 @@ def patchy_particles_at_constant_energy(record: Record) -> Mapping[str, float]:
 
 def patchy_particles(record: Record) -> Mapping[str, float]:
     """Of SIER2 at 60 fs; LangevinMiddle takes its longest step with right averages."""
-    speed = one(record.tables["speeds"], key="patchy", method=RIGID, step=60.0)
-    springs = record.tables["speeds"].query(f"key == 'patchy' and method == '{SPRINGS}'")
-    return {"bath": speed["over"], "rival": springs["longest"].iloc[0]}
+    speeds = record.tables["speeds"]
+    longest = speeds.query(f"key == 'patchy' and method == '{SPRINGS}'")["longest"].iloc[0]
+    own = one(speeds, key="patchy", method=RIGID, step=60.0)
+    rival = one(speeds, key="patchy", method=SPRINGS, step=longest)
+    spread = math.hypot(*(row["ns_a_day_error"] / row["ns_a_day"] for row in (own, rival)))
+    return {"bath": own["over"], "bath_error": own["over"] * spread, "rival": longest}

@@ -281,14 +281,16 @@ def conserved(
 ) -> tuple[dict[str, Any], pd.DataFrame | None]:
     """Return the `conservation` of a run and its samples; see `follow` for the arguments.
 
-    The numbers of a run that broke down are NaN, and `broken` says why it did.
+    `fs_per_second` is simulated time over processor time. The numbers of a run that broke down are NaN, and `broken`
+    says why it did.
     """
     with warnings.catch_warnings():
         # What a step or a System does to the energy is what is measured here.
         warnings.simplefilter("ignore")
         try:
-            table = follow(liquid, method, dt, time, interval).table
+            samples = follow(liquid, method, dt, time, interval)
         except Unstable as error:
-            unknown = dict.fromkeys(("percent", "walk", "rms", "drift", "its_error"), math.nan)
+            unknown = dict.fromkeys(("percent", "walk", "rms", "drift", "its_error", "fs_per_second"), math.nan)
             return unknown | {"broken": str(error)}, None
-    return conservation(table) | {"broken": ""}, table
+    found = conservation(samples.table) | {"fs_per_second": samples.fs_per_processor_second, "broken": ""}
+    return found, samples.table

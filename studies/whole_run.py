@@ -75,10 +75,12 @@ WARMTH = {"T_rot - T_trans/K": "{difference_text}"}
 
 GAINS = text.columns("liquid", "molecules", "time") | {
     **PME,
+    "starts": "{starts}",
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
-    "gain": "{gain:.1f}",
+    "gain": "{gain:.1f} ± {gain_error:.1f}",
+    "speed over this Verlet": "{relative:.2f} ± {relative_error:.2f}",
     "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.5f} ± {its_error_verlet:.5f}",
     "drift, SIER4G/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
 }
@@ -187,7 +189,8 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
     point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")}
     walks = np.array([walk_slope(np.array(means, dtype=float)) for means in runs["means"] if np.ndim(means)])
     point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum() + (walks**2).sum()) / len(runs)
-    return point | over_starts(runs, ("percent", "walk", "drift")) | records.pooled(runs, ("difference",))
+    of_starts = over_starts(runs, ("percent", "walk", "drift", "fs_per_second"))
+    return point | of_starts | records.pooled(runs, ("difference",))
 
 
 def walk_slope(means: np.ndarray) -> float:
@@ -205,17 +208,27 @@ def walk_slope(means: np.ndarray) -> float:
 
 def made(settings: WholeRunSettings, runs: pd.DataFrame) -> Made:
     """Return the tables of all runs, and the law of the walk."""
+    # Runs of an earlier version have no speed.
+    runs = runs.assign(fs_per_second=runs.get("fs_per_second", math.nan))
     rows = points(runs).sort_values(POINT, kind="stable")
     return {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)}
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
+    """Return Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation.
+
+    `relative` is the simulated time of SIER4G over that of Verlet for the same processor time.
+    """
     same = ["liquid", "molecules", "time", "tolerance", "share"]
     rows = rows.assign(per_force=rows["fs_per_force"].round(4))
     ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
     pairs = ours.merge(theirs, on=[*same, "per_force"], suffixes=("", "_verlet"))
-    return pairs.assign(gain=pairs["percent_verlet"] / pairs["percent"])
+    for ratio, over, under in (("gain", "_verlet", ""), ("relative", "", "_verlet")):
+        name = "percent" if ratio == "gain" else "fs_per_second"
+        pairs[ratio] = pairs[f"{name}{over}"] / pairs[f"{name}{under}"]
+        spread = np.hypot(*(pairs[f"{name}_error{of}"] / pairs[f"{name}{of}"] for of in ("", "_verlet")))
+        pairs[f"{ratio}_error"] = pairs[ratio] * spread
+    return pairs
 
 
 def law(rows: pd.DataFrame) -> dict[str, Any]:
