@@ -1,5 +1,6 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
+import gc
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -77,10 +78,11 @@ def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, req
         note(f"{beginning.checkpoint} is at step {settings.length(settings.steps)}: the run is complete")
         _report(settings, [], beginning.unsettled)
         return
-    simulated = SimulatedSystem(settings, beginning.sources)
-    locks.hold(outputs.paths)
-    beginning.check_outputs(outputs)
-    context = beginning.context(simulated)
+    with _uncollected():
+        simulated = SimulatedSystem(settings, beginning.sources)
+        locks.hold(outputs.paths)
+        beginning.check_outputs(outputs)
+        context = beginning.context(simulated)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     platform = context.getPlatform().getName()
@@ -89,6 +91,18 @@ def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, req
     cost = RunningSimulation(simulated, context, outputs).advance(requests)
     _report(settings, cost, beginning.unsettled)
     note(f"wrote {', '.join(map(str, [*outputs.paths, *([settings.plot] if settings.plot else [])]))}")
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Let a block make its objects, millions for a large System that stay, without searches for garbage among them."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:

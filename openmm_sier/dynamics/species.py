@@ -204,7 +204,7 @@ class Species:
         """Return the mirror image, whose principal axes are the same."""
         return replace(self, sites=np.array([[1.0], [1.0], [-1.0]]) * self.sites)
 
-    @property
+    @cached_property
     def mass(self) -> float:
         return float(self.masses.sum())
 
@@ -213,7 +213,7 @@ class Species:
         """Degrees of freedom of one body: of a free one 3 for a point, 5 for a line and 6 otherwise."""
         return sum(self.motion.translations) + int(np.count_nonzero(self.turns))
 
-    @property
+    @cached_property
     def turns(self) -> np.ndarray:
         """Whether the bodies turn about each principal axis, (3,)."""
         return (self.moments > 0) & self.motion.rotations

@@ -93,14 +93,19 @@ def mobilities(bodies: BodySet) -> np.ndarray:
     A force f at the site r of a body accelerates that site by f / M + I^-1 (r x f) x r.
     """
     mobility = np.zeros(bodies.n_particles)
+    turning = [species for species in bodies.species if species.sites.any()]
     for species in bodies.species:
         mobility[species.atoms] = any(species.motion.translations) / species.mass
-        if not species.sites.any():
-            continue
-        cross = np.cross(np.eye(3), species.sites.T[:, None])
-        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.turns)
-        rotational = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
-        mobility[species.atoms] += np.linalg.eigvalsh(rotational)[:, -1]
+    if not turning:
+        return mobility
+    # All kinds at once: there may be thousands.
+    sizes = [species.masses.size for species in turning]
+    moments, turns = (np.array([getattr(species, name) for species in turning]) for name in ("moments", "turns"))
+    inverse = np.repeat(np.divide(1.0, moments, out=np.zeros(moments.shape), where=turns), sizes, axis=0)
+    cross = np.cross(np.eye(3), np.concatenate([species.sites.T for species in turning])[:, None])
+    rotational = np.linalg.eigvalsh(np.einsum("kax,ka,kay->kxy", cross, inverse, cross))[:, -1]
+    for species, values in zip(turning, np.split(rotational, np.cumsum(sizes)[:-1]), strict=True):
+        mobility[species.atoms] += values
     return mobility
 
 
