@@ -250,10 +250,12 @@ class Run:
 
     def slope(self):
         """Return the root mean square of the forces along motions that constraints and bodies allow, kJ/mol/nm."""
-        view = self.view()
-        forces = self._elsewhere(view, forces=True).getForces(asNumpy=True)._value
-        basis = np.linalg.qr(self._allowed(view) * np.repeat(np.sqrt(self._inverse_masses), 3)[:, None])[0]
-        return float(np.sqrt(np.mean((basis.T @ forces.ravel()) ** 2))) if basis.size else 0.0
+        basis = np.linalg.qr(self._allowed(self.view()) * np.repeat(np.sqrt(self._inverse_masses), 3)[:, None])[0]
+        return float(np.sqrt(np.mean((basis.T @ self.forces().ravel()) ** 2))) if basis.size else 0.0
+
+    def forces(self):
+        """Return the forces that move the atoms, by OpenMM in another Context, (N, 3), kJ/mol/nm."""
+        return self._elsewhere(self.view(), forces=True).getForces(asNumpy=True)._value
 
     def _elsewhere(self, view, **asked):
         """Return what is asked of OpenMM at a view, in another Context, of the forces that move the atoms."""
