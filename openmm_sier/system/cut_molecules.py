@@ -27,6 +27,9 @@ STRETCH = 0.1
 #: Maximum length in nm of a bond whose length no force field gives; bonds of iodine and heavy metals have 0.3.
 LONGEST_BOND = 0.4
 
+#: Atoms whose shifts differ by more come to different images, nm. Shifts are sums of box vectors, to rounding.
+SHIFTED = 1e-6
+
 #: Remedies, for messages.
 MAKE_WHOLE = "Make molecules whole: context.setPositions(make_whole(system, positions))"
 IF_CUT = f"Does the periodic boundary cut the molecule? {MAKE_WHOLE}"
@@ -217,7 +220,7 @@ class Wholeness:
         """
         whole = self.whole(positions, [cluster for clusters in kinds for cluster in clusters])
         shifts = whole - positions
-        cut = next((clusters for clusters in kinds if np.ptp(shifts[clusters], axis=1).any()), None)
+        cut = next((clusters for clusters in kinds if (np.ptp(shifts[clusters], axis=1) > SHIFTED).any()), None)
         if cut is None:
             refuse_broken(self._within(kinds), positions, None, self._topology)
             return

@@ -27,6 +27,7 @@ from tests.laws import (
     test_refusals,
     test_requests,
     test_reversal,
+    test_volume_moves,
 )
 from tests.laws.law import Broken, Law
 from tests.support import opencl
@@ -40,8 +41,8 @@ MODULES = (
     test_requests,
     test_future,
     test_completed_steps,
-    test_damping,
     test_energies,
+    test_volume_moves,
     test_averages,
     test_readers,
     test_refusals,

@@ -28,6 +28,14 @@ ALLOWED = 1e-3
 NET = 2e-3
 
 
+#: Iterations of a minimizer that may find no lower energy. kJ/mol/nm, for the root mean square of forces along what
+#: moves: those of atoms and bodies in their minima are below 1, and thermal ones are hundreds.
+FEW, STEEP = 10, 100.0
+
+#: nm: 1e-5 of the length of a constraint.
+SLIP = 2e-6
+
+
 class Action:
     """The base class. What it leaves out holds for questions.
 
@@ -154,11 +162,12 @@ class SetPositions(Action):
     def positions(self, run, before):
         rng = np.random.default_rng(self.seed)
         atoms = run.molecules[self.molecule % len(run.molecules)]
-        moved = before.positions.copy()
+        images = run.built.images @ before.box
+        moved = before.positions - images
         centre = moved[atoms].mean(axis=0)
         turn = Rotation.from_rotvec(rng.normal(scale=0.02, size=3))
         moved[atoms] = turn.apply(moved[atoms] - centre) + centre + rng.normal(scale=0.005, size=3)
-        return moved + self.off * rng.uniform(-1, 1, moved.shape)
+        return moved + images + self.off * rng.uniform(-1, 1, moved.shape)
 
     def act(self, run):
         run.context.setPositions(self.positions(run, run.view()))
@@ -213,21 +222,28 @@ class ApplyVelocityConstraints(Action):
 
 @dataclass(frozen=True)
 class Minimize(Action):
-    """Minimize the energy from positions that satisfy the constraints: others may have less than those at the end."""
+    """Minimize the energy from positions that satisfy the constraints: others may have less than those at the end.
+
+    The first few iterations may lead up, from where it goes back to the start.
+    """
 
     iterations: int
 
     def act(self, run):
         run.context.applyConstraints(1e-9)
-        run.energy_before = run.potential_energy()
+        run.energy_before, run.slope_before = run.potential_energy(), run.slope()
+        # OpenMM's minimizer satisfies constraints to `SLIP` at its end.
+        run.slip = SLIP * np.abs(run.forces()).sum()
         openmm.LocalEnergyMinimizer.minimize(run.context, 1.0, self.iterations)
 
     def shows(self, run, before, after):
         assert after.steps == before.steps
         assert np.array_equal(after.box, before.box)
         energy = run.potential_energy()
-        rounding = 1e-6 * (1 + abs(energy))
+        rounding = 1e-6 * (1 + abs(energy)) + run.slip
         assert energy <= run.energy_before + rounding, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
+        if self.iterations > FEW and run.slope_before > STEEP:
+            assert energy < run.energy_before - rounding, f"the energy stays at {energy} kJ/mol"
         run.assert_rigid(after, 1e-4, moves=False)
 
 

@@ -44,6 +44,7 @@ class Conditions:
         oscillator: covariances of an oscillator at the ends of steps, for its pace.
         error: bound of the relative error of averages of an anharmonic motion, for its pace.
         keeps: factors of momenta and angular momenta from one step to the next, without forces; None if unknown.
+        pushed: mean momentum under a constant force, over force times step, for such a factor.
     """
 
     thermal: float
@@ -51,6 +52,7 @@ class Conditions:
     oscillator: Callable[[float], Oscillator]
     error: Callable[[float], float]
     keeps: tuple[float, float] | None = None
+    pushed: Callable[[float], float] | None = None
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Bodies of types that move along some axes only, whose canonical averages are known, as kinds of `exact_models`."""
+"""Bodies of types that move along some axes only, whose averages are known, as kinds of `exact_models`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import openmm
 from scipy.special import ive
 
 from openmm_sier import BodyType, Motion
@@ -105,12 +106,64 @@ class Held:
         return 0 if self.motion in ("in plane", "hinged") else 2
 
 
+@dataclass(frozen=True)
+class Driven:
+    """Bodies of a type that move along x and turn about z, under a constant force and a constant torque.
+
+    In a bath they come to a mean momentum and angular momentum, about which both are canonical.
+
+    Attributes:
+        shape: of `COORDINATES`.
+        pace: of the rotation.
+    """
+
+    shape: str = "triangle"
+    pace: float = 0.1
+
+    is_free = False
+
+    def put(self, assembly: Assembly, n: int, at: Conditions) -> None:
+        frame = Frame(self.shape, self.pace, at)
+        motion = Motion(ALONG_X, (False, False, True))
+        kind = BodyType(f"driven {self.shape}", frame.places, frame.masses, motion=motion)
+        angles = assembly.rng.uniform(0, 2 * np.pi, n)
+        atoms = assembly.add(assembly.scatter(frame.places @ np.swapaxes(_about_z(angles), 1, 2)), frame.masses)
+        assembly.types[kind] = atoms.tolist()
+        assembly.freedoms -= n * (3 * len(frame.masses) - kind.dof)
+        mass = frame.masses.sum()
+        thermal = [math.sqrt(each * at.thermal) for each in (mass, frame.moments[2])]
+        # The means are near the thermal momenta.
+        pushes = [(1 - kept) * each for kept, each in zip(at.keeps, thermal, strict=True)]
+        shares = np.tile(frame.masses / mass, n)
+        add_external(assembly, f"{-pushes[0] / at.step!r}*share*x", atoms, shares, names=("share",))
+        # The energy has a jump, and the torque none.
+        torque = openmm.CustomCompoundBondForce(2, f"{-pushes[1] / at.step!r}*atan2(y2-y1, x2-x1)")
+        for molecule in atoms.tolist():
+            torque.addBond(molecule[:2], [])
+        assembly.system.addForce(torque)
+
+        def observe(x, v):
+            p = (frame.masses @ v)[..., 0] / thermal[0]
+            L = angular_momentum(frame.masses, x, v)[..., 2] / thermal[1]
+            return {"p": p, "p^2": p**2, "L": L, "L^2": L**2}
+
+        exact = {}
+        for name, kept in zip("pL", at.keeps, strict=True):
+            mean = (1 - kept) * at.pushed(kept)
+            exact |= {name: Exact(mean), f"{name}^2": Exact(1 + mean**2)}
+        assembly.parts.append(Part(atoms, observe, exact, 1.0))
+
+
 def _turns(rng, arm: np.ndarray, strength: float, n: int, is_flat: bool) -> np.ndarray:
     """Return rotations (n, 3, 3) from the frame to the lab for dipoles along `arm` in a field."""
     if not is_flat:
         return _towards(rng, arm, _cosines(rng, strength, n))
-    angles = rng.vonmises(0.0, strength, n) - math.atan2(arm[1], arm[0])
-    turns = np.zeros((n, 3, 3))
+    return _about_z(rng.vonmises(0.0, strength, n) - math.atan2(arm[1], arm[0]))
+
+
+def _about_z(angles: np.ndarray) -> np.ndarray:
+    """Return rotations (n, 3, 3) by angles about z."""
+    turns = np.zeros((len(angles), 3, 3))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
     turns[:, 1, 0] = np.sin(angles)
     turns[:, 0, 1] = -turns[:, 1, 0]

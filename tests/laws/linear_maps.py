@@ -57,6 +57,22 @@ def in_bath(scheme: Scheme, pace: float) -> Oscillator:
     return Oscillator(q2=-upper / lower)
 
 
+def pushed(scheme: Scheme, kept: float) -> float:
+    """Return the mean momentum at the ends of steps under a constant force, over force times step.
+
+    Args:
+        scheme: with a bath.
+        kept: factor of momenta in the bath of a step.
+    """
+    factor, gained = 1.0, 0.0
+    for stage in scheme.stages:
+        if stage.operator == BATH:
+            factor, gained = factor * kept**stage.fraction, gained * kept**stage.fraction
+        elif stage.flow != DRIFT:
+            gained += stage.fraction
+    return gained / (1 - factor)
+
+
 def is_stable(scheme: Scheme, pace: float) -> bool:
     """Return whether an oscillator stays bounded, with room for rounding."""
     return abs(np.trace(step_map(scheme, pace))) < 2 and math.isfinite(pace)

@@ -99,6 +99,7 @@ def mixtures(
         st.sampled_from(FORMS),
         st.sampled_from([0, 1, 3]),
         st.sampled_from(prepared),
+        st.sampled_from([False, False, True]),
     )
 
 

@@ -9,12 +9,22 @@ from functools import lru_cache
 
 import numpy as np
 import openmm
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import BodyType, Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system.find_bodies import UnknownShapeError
-from tests.laws.mechanics import centre_of, constrained_pairs, gradients, masses_of, multipliers, rigid_velocities
+from tests.laws.mechanics import (
+    centre_of,
+    constrained_pairs,
+    gradients,
+    masses_of,
+    multipliers,
+    rigid_velocities,
+    virtual_sites,
+)
 from tests.laws.molecules import Molecule
 from tests.laws.parts import Parts
 from tests.support.waters import phase_point, plain_context
@@ -49,6 +59,7 @@ class Built:
         bodies: None if the constraints alone say which there are.
         names: of the particles.
         preparation: of `prepare_system`; None if not prepared.
+        images: numbers of box vectors by which particles are away from a whole molecule, (N, 3).
     """
 
     system: openmm.System
@@ -59,6 +70,7 @@ class Built:
     bodies: RigidBodies | None
     names: tuple[str, ...]
     preparation: Preparation | None
+    images: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -72,6 +84,8 @@ class Mixture:
         form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
         remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
+        crossing: whether molecules in a box cross its boundary: bonds, angles and torsions take nearest images, at any
+            of which is what only these hold together.
     """
 
     molecules: tuple[Molecule, ...]
@@ -80,6 +94,11 @@ class Mixture:
     form: str = "plain"
     remover: int = 0
     prepared: str = "no"
+    crossing: bool = False
+
+    @property
+    def crosses(self) -> bool:
+        return self.crossing and self.surroundings != "vacuum"
 
     def build(self) -> Built:
         """Return the System, its positions and its velocities, the same ones each time, in a System of their own."""
@@ -94,6 +113,10 @@ class Mixture:
         _add_bonded_forces(self, plain, parts, positions)
         _surround(self, plain, parts, positions)
         named = tuple(tuple(first + i for i in body) for first, each in _numbered(parts) for body in each.bodies)
+        images = np.zeros(positions.shape)
+        if self.crosses:
+            images = _images(plain, named, np.random.default_rng([self.seed, 2]))
+            positions = positions + images @ box_of(plain)
         system = openmm.XmlSerializer.clone(plain)
         preparation = None
         if self.prepared != "no":
@@ -109,7 +132,7 @@ class Mixture:
             for number, molecule in enumerate(self.molecules)
             for i in range(len(parts[number].masses))
         )
-        return Built(system, plain, positions, velocities, named, bodies, names, preparation)
+        return Built(system, plain, positions, velocities, named, bodies, names, preparation, images)
 
 
 @lru_cache(maxsize=8)
@@ -164,6 +187,11 @@ def is_frozen(mixture: Mixture) -> bool:
     """Return whether a mixture has atoms without mass that are no virtual sites, so that momentum is not conserved."""
     parts = [molecule.parts() for molecule in mixture.molecules]
     return any(not mass and i not in each.sites for each in parts for i, mass in enumerate(each.masses))
+
+
+def box_of(system: openmm.System) -> np.ndarray:
+    """Return the default box vectors of a System as rows, (3, 3), nm."""
+    return np.array([edge._value for edge in system.getDefaultPeriodicBoxVectors()])
 
 
 # --- particles and places ---------------------------------------------------------------------------------------------
@@ -235,6 +263,20 @@ def _velocities(
     return v
 
 
+def _images(system: openmm.System, named: tuple[tuple[int, ...], ...], rng: np.random.Generator) -> np.ndarray:
+    """Return numbers of box vectors for each particle, (N, 3), the same for those that are held together."""
+    n = system.getNumParticles()
+    held = [system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints())]
+    for i in virtual_sites(system):
+        site = system.getVirtualSite(i)
+        held += [(i, site.getParticle(k)) for k in range(site.getNumParticles())]
+    held += [(body[0], i) for body in named for i in body]
+    rows, columns = np.array(held, dtype=int).reshape(-1, 2).T
+    parts, part = connected_components(coo_array((np.ones(len(held)), (rows, columns)), (n, n)), directed=False)
+    # PME of the Reference platform misplaces atoms below zero by rounding.
+    return rng.integers(0, 2, (parts, 3)).astype(float)[part]
+
+
 # --- forces -----------------------------------------------------------------------------------------------------------
 
 
@@ -257,6 +299,7 @@ def _add_bonded_forces(mixture: Mixture, system: openmm.System, parts: list[Part
         (angles, angles.getNumAngles),
         (torsions, torsions.getNumTorsions),
     ):
+        force.setUsesPeriodicBoundaryConditions(mixture.crosses)
         if terms():
             system.addForce(force)
 
@@ -306,6 +349,7 @@ def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
     methods = {"vacuum": force.NoCutoff, "cut-off": force.CutoffPeriodic}
     force.setNonbondedMethod(methods.get(mixture.surroundings, force.PME))
     force.setCutoffDistance(CUTOFF)
+    force.setExceptionsUsePeriodicBoundaryConditions(mixture.crosses)
     # A conductor, with which forces end at the cut-off.
     force.setReactionFieldDielectric(1e9)
     if mixture.form == "switched":

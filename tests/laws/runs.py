@@ -9,6 +9,7 @@ import openmm
 from hypothesis import reject
 
 from tests.laws.mechanics import allowed_motions, centre_of, constrained_pairs, masses_of, virtual_sites
+from tests.laws.mixtures import box_of
 from tests.laws.readings import rigid_atoms
 from tests.support.restarts import clock_and_box, full_state
 from tests.support.waters import phase_point, plain_context, platform
@@ -102,11 +103,10 @@ class Run:
             self.system.addForce(force())
         if self.is_periodic:
             # Room for moves to a smaller volume.
-            edges = [ROOM * edge for edge in self.system.getDefaultPeriodicBoxVectors()]
-            self.system.setDefaultPeriodicBoxVectors(*edges)
+            self.system.setDefaultPeriodicBoxVectors(*(ROOM * box_of(self.system)))
         self.integrator = method.make(built.bodies, settings)
         self.context = self.bind(self.integrator)
-        self.context.setPositions(built.positions)
+        self.context.setPositions(self.start)
         self.context.setVelocities(built.velocities)
 
     def _pull(self):
@@ -137,6 +137,11 @@ class Run:
     def constraints(self):
         """Pairs (K, 2) of atoms that move, and lengths in nm."""
         return constrained_pairs(self.system)
+
+    @cached_property
+    def start(self):
+        """Positions (N, 3) in nm, with the images of the mixture in the box of the System."""
+        return self.built.positions + self.built.images @ (box_of(self.system) - box_of(self.built.plain))
 
     @cached_property
     def pull(self):
@@ -241,11 +246,26 @@ class Run:
 
     def potential_energy(self):
         """Return the potential energy of the forces that move the atoms, by OpenMM in another Context, kJ/mol."""
-        view = self.view()
+        return self._elsewhere(self.view(), energy=True).getPotentialEnergy()._value
+
+    def slope(self):
+        """Return the root mean square of the forces along motions that constraints and bodies allow, kJ/mol/nm."""
+        basis = np.linalg.qr(self._allowed(self.view()) * np.repeat(np.sqrt(self._inverse_masses), 3)[:, None])[0]
+        return float(np.sqrt(np.mean((basis.T @ self.forces().ravel()) ** 2))) if basis.size else 0.0
+
+    def forces(self):
+        """Return the forces that move the atoms, by OpenMM in another Context, (N, 3), kJ/mol/nm."""
+        return self._elsewhere(self.view(), forces=True).getForces(asNumpy=True)._value
+
+    def _elsewhere(self, view, **asked):
+        """Return what is asked of OpenMM at a view, in another Context, of the forces that move the atoms."""
         context = plain_context(self.system, view.positions, self.name)
         view.show_in(context)
-        groups = self.integrator.getIntegrationForceGroups()
-        return context.getState(energy=True, groups=groups).getPotentialEnergy()._value
+        return context.getState(groups=self.integrator.getIntegrationForceGroups(), **asked)
+
+    @cached_property
+    def _inverse_masses(self):
+        return np.divide(1.0, self.masses, out=np.zeros_like(self.masses), where=self.masses > 0)
 
     def assert_rigid(self, view, tolerance, moves=True):
         """Distances that constraints and bodies hold have their lengths, and velocities do not change them.
@@ -256,7 +276,7 @@ class Run:
             moves: whether velocities are looked at.
         """
         pairs = [(i, j, length) for (i, j), length in zip(*self.constraints, strict=True)]
-        at_start = self.built.positions
+        at_start = self.start
         for atoms in self.rigid:
             pairs += [(i, j, np.linalg.norm(at_start[i] - at_start[j])) for i, j in combinations(atoms, 2)]
         for i, j, length in pairs:

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.ensembles import VelocityRescaling
 from tests.laws.exact_models import FAST, Assembly, Conditions, Exact, FastBonds, Wells
-from tests.laws.linear_maps import Oscillator, in_bath
+from tests.laws.linear_maps import Oscillator, in_bath, pushed
 from tests.laws.mechanics import centre_of, masses_of
 from tests.support.seeded import seeded
 from tests.support.waters import platform as platform_of
@@ -85,6 +85,9 @@ class Bath:
 
     def oscillator(self, pace: float) -> Oscillator:
         return in_bath(self._scheme.with_bath(), pace)
+
+    def pushed(self, kept: float) -> float:
+        return pushed(self._scheme.with_bath(), kept)
 
     @property
     def _scheme(self) -> Scheme:
@@ -196,7 +199,8 @@ class Series:
         self._kinds = kinds
         self._thermal = GAS_CONSTANT * method.temperature
         assembly = Assembly(np.random.default_rng(seed), is_pressed=bool(method.pressure))
-        at = Conditions(self._thermal, method.step, method.oscillator, partial(_margin, method), method.keeps)
+        responds = getattr(method, "pushed", None)
+        at = Conditions(self._thermal, method.step, method.oscillator, partial(_margin, method), method.keeps, responds)
         for kind in kinds:
             kind.put(assembly, copies, at)
         self._assembly = assembly

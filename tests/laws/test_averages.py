@@ -9,13 +9,15 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 
+import openmm
 import pytest
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.exact_bodies import Dipoles, Free, Joined, Suspended
 from tests.laws.exact_models import Chains, FastBonds, Quartics, Wells
-from tests.laws.exact_motions import MOTIONS, Held
+from tests.laws.exact_motions import MOTIONS, Driven, Held
 from tests.laws.law import MANY, Law
 from tests.laws.linear_maps import in_bath, is_stable
 from tests.laws.sampling import BRIEF, LONG, Bath, Length, Rescaling, Sampler, Series, Trials
@@ -46,10 +48,18 @@ class Experiment:
         with warnings.catch_warnings():
             # Steps are as long as they can be.
             warnings.simplefilter("ignore")
-            sampled = Series(self.method, self.kinds, self.copies, self.seed, self.platform, self.length)
-            distances = sampled.distances()
+            distances = self._started().distances()
         wrong = {name: distance for name, distance in distances.items() if abs(distance) > self.length.bound}
-        assert not wrong, f"standard errors from the exact averages {sampled.exact}: {wrong}"
+        assert not wrong, f"standard errors from the exact averages: {wrong}"
+
+    def _started(self) -> Series:
+        """Return the series at its start, unless a chain is drawn there whose bonds in line OpenMM cannot hold."""
+        try:
+            return Series(self.method, self.kinds, self.copies, self.seed, self.platform, self.length)
+        except openmm.OpenMMException as error:
+            if "OpenMM cannot satisfy the constraints" in str(error):
+                reject()
+            raise
 
 
 # --- strategies: the first value is the simplest ----------------------------------------------------------------------
@@ -87,6 +97,11 @@ def free_kinds(draw, engine: str, pace: float, named: bool):
 def types(draw, oscillation: float, pace: float):
     """Bodies of a type that move along some axes only."""
     return Held(draw(shapes), draw(chosen(*MOTIONS)), draw(chosen(2.0, 5.0)), pace, oscillation)
+
+
+def driven(pace: float):
+    """Draw bodies that forces drive, which no energy describes."""
+    return st.builds(Driven, shapes, st.just(pace))
 
 
 @st.composite
@@ -131,7 +146,7 @@ def baths(draw):
     sound = [pace for pace in paces if is_stable(bathed.without_bath(), pace) and 0.3 < in_bath(bathed, pace).q2 < 3]
     oscillation, pace = draw(chosen(*sound)), draw(chosen(0.15, 0.1))
     kinds = [draw(free_kinds(engine, pace, named))] if pressure else []
-    kinds += [draw(types(oscillation, pace))] if has_types else []
+    kinds += [draw(st.one_of(types(oscillation, pace), driven(pace)))] if has_types else []
     others = st.one_of(
         held_kinds(oscillation, pace, not pressure, named),
         free_kinds(engine, pace, named),
@@ -203,6 +218,7 @@ def cases(platform: str) -> st.SearchStrategy[Experiment]:
 EXAMPLES = [
     Experiment(Bath(friction=1.0, turning=0.5), (Free("corner", named=True),), 60),
     Experiment(Bath(friction=1.0), (Held("corner", "in plane"),), 60),
+    Experiment(Bath(friction=0.5, turning=0.3), (Driven(),), 20),
     Experiment(Bath(friction=1.0, substeps=1), (Wells(pace=1.6), FastBonds(pace=1.2)), 60),
     Experiment(Bath("sier4g"), (Suspended(), Wells(pace=1.0, anchored=True)), 20),
     Experiment(Bath(engine="native", friction=1.0), (Wells(pace=1.6), Free("pair", pace=0.1), FastBonds(pace=1.2)), 60),

@@ -102,7 +102,7 @@ class Restart:
         def again() -> Run:
             other = run.continued(system, makers[self.by](), settings, saved)
             if self.aged and (self.way == "checkpoint" or not run.method.is_random):
-                other.context.setPositions(run.built.positions)
+                other.context.setPositions(run.start)
                 other.context.setVelocities(run.built.velocities)
                 followed(other, Step(1))
             load(other.context)

@@ -17,6 +17,7 @@ from tests.laws.law import Law
 from tests.laws.mechanics import allowed_motions, constrained_pairs, masses_of
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import HEAVY, Built, Mixture
+from tests.laws.molecules import Jointed, WithSite
 from tests.laws.readings import clusters, evaluated
 from tests.support.waters import force_of
 
@@ -218,3 +219,9 @@ LAW = Law("preparing", cases, few=25)
 @LAW.numbers()
 def test_preparing_changes_nothing_but_what_it_says(examples):
     LAW.hold(examples)
+
+
+def test_bodies_at_different_images_are_whole():
+    """Their ways to one image are rounded for each atom."""
+    molecules = (WithSite(Jointed("pair", other="bent"), "two"),)
+    Preparing(Mixture(molecules, surroundings="cut-off", prepared="yes", crossing=True)).check()
