@@ -55,5 +55,4 @@ def rings(number: int, cutoff: float) -> Rings:
             for j in range(group[0], i):
                 force.addException(i, j, 0, 1, 0)
     system.addForce(force)
-    system.addForce(openmm.CMMotionRemover())
     return Rings(system, positions, RigidBodies.from_system(system, None, groups, positions))

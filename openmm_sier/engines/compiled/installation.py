@@ -19,7 +19,7 @@ from openmm_sier.engines.compiled.plugin import address_of, library_of
 from openmm_sier.engines.compiled.refusals import moved_by_fast_forces, refusal, refuse_bodies, refuse_method
 from openmm_sier.engines.compiled.scalars import Scalars
 from openmm_sier.engines.compiled.step_program import StepProgram
-from openmm_sier.engines.compiled.trial_blocks import trial_blocks
+from openmm_sier.engines.compiled.trial_blocks import SUM, trial_blocks
 from openmm_sier.engines.compiled.writing import StepWriter, written_trajectory
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -38,7 +38,7 @@ class CompiledStep(NamedTuple):
         counts_heat: whether heat is counted.
         fast_groups: bit mask.
         has_last_energy: whether the end of a trajectory comes with its energy.
-        sum_units: units of the sums of trials in one kJ/mol.
+        sum_units: units of sums of the motion in one kJ/mol.
     """
 
     program: StepProgram
@@ -113,6 +113,7 @@ def compiled_step(
         ) from error
     program = ProgramWriter(body_tables, fast, counts_heat, method.trial_steps, has_sites, system.getNumParticles())
     program.write_block(writer.parts)
+    program.write_block(SUM)
     if method.trial_steps:
         for block in trial_blocks(written_trajectory(plan, fast > 0, scalars), fast > 0):
             program.write_block(block)

@@ -1,4 +1,4 @@
-"""The blocks of a program that makes trials of hybrid Monte Carlo, as parts."""
+"""The blocks of a program besides a step, as parts: the sum of the motion, and trials of hybrid Monte Carlo."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from openmm_sier.dynamics.plan import FAST, SLOW
 from openmm_sier.engines.compiled.movers import CHANGE, DRAW, GO_BACK, START, SUM_END, Call
 from openmm_sier.engines.compiled.writing import NOTHING, REORDER, RESTORED, Part, Trajectory
 
-#: Numbers of blocks: a step, energies, drawn velocities; of a trajectory the first part, with the start of a trial and
-#: without, what is repeated, and the end; other velocities, and the way back.
-STEP, ENERGY, DRAWN, STARTED, GONE_ON, BETWEEN, ENDED, CHANGED, GONE_BACK = range(9)
+#: Numbers of blocks: a step, and the sum of the motion of all that moves; of trials energies, drawn velocities; of a
+#: trajectory the first part, with the start of a trial and without, what is repeated, and the end; other velocities,
+#: and the way back.
+STEP, SUMMED, ENERGY, DRAWN, STARTED, GONE_ON, BETWEEN, ENDED, CHANGED, GONE_BACK = range(10)
+
+#: The sum of the motion.
+SUM = (Part(NOTHING, [Call(SUM_END)], [Call(SUM_END)]),)
 
 
 def trial_blocks(trajectory: Trajectory, has_fast: bool) -> tuple[list[Part], ...]:
-    """Return all blocks but that of a step.
+    """Return the blocks of trials.
 
     Args:
         trajectory: of a trial.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics.plan import Operation
-from openmm_sier.engines.compiled.engine import KernelsEngine
-from openmm_sier.engines.compiled.kernel_text import END_SUMS, START_SUMS, SUM_SIZE, SUM_SLOTS, VALUES
+from openmm_sier.engines.compiled.engine import KernelsEngine, Motion
+from openmm_sier.engines.compiled.kernel_text import END_SUMS, START_SUMS, VALUES
 from openmm_sier.engines.compiled.trial_blocks import (
     BETWEEN,
     CHANGED,
@@ -35,13 +35,6 @@ from openmm_sier.engines.trials import (
     Trial,
     WhileItGoesOn,
 )
-
-
-class Motion(NamedTuple):
-    """Kinetic energy, kJ/mol, and momentum, (3,), of all atoms."""
-
-    kinetic: float
-    momentum: np.ndarray
 
 
 class KernelTrialEngine(KernelsEngine, TrialEngine):
@@ -94,10 +87,6 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
 
     # --- blocks ---
 
-    def run(self, block: int, times: int = 1, are_forces_known: bool = True) -> float:
-        """Execute a block of commands, and return the energy that it asks for, see `Library.run`."""
-        return float(self._library.run(self._address, block, times, are_forces_known))
-
     def change_velocities(self, factor: float, shift: np.ndarray) -> None:
         """Multiply velocities by a factor, and add a velocity, (3,), nm/ps."""
         self._write(factor, 0.0, shift, 0.0)
@@ -108,29 +97,24 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
         kept = trial.kept if trial.kinetic_energy else 1.0
         self._write(kept, math.sqrt((1 - kept**2) * trial.kT), trial.centre, trial.kinetic_energy)
         self._library.clear_totals(self._address, START_SUMS)
-        self.begin_end()
-
-    def begin_end(self) -> None:
-        """Set the sums of the end to zero."""
         self._library.clear_totals(self._address, END_SUMS)
 
     def _write(self, factor: float, width: float, shift: np.ndarray, kinetic_energy: float) -> None:
         """Write the values of kernels, see `trials.cc`."""
         self._library.write_numbers(self._address, VALUES, [factor, width, factor, width, *shift, kinetic_energy])
 
+    def go_on(self) -> None:
+        """Begin another part of a trajectory where it is."""
+        self._library.clear_totals(self._address, END_SUMS)
+        self.run(GONE_ON)
+
     def end(self) -> Motion:
-        """Return the motion at the end of the trajectory; its energy is infinite where that of a body is too large."""
+        """Return the motion at the end of the trajectory."""
         return self._motion(END_SUMS)
 
     def drawn(self) -> Motion:
         """Return the motion that was drawn for a trial, before it was scaled to the kinetic energy of the start."""
         return self._motion(START_SUMS)
-
-    def _motion(self, name: str) -> Motion:
-        totals = self._library.read_totals(self._address, name, SUM_SLOTS * SUM_SIZE)
-        kinetic, *momentum, excluded = totals.reshape(SUM_SLOTS, SUM_SIZE).sum(axis=0)
-        energy = math.inf if excluded else float(kinetic) / self._step.sum_units
-        return Motion(energy, np.array(momentum) / self._step.sum_units)
 
 
 class DeviceTrajectory:
@@ -192,8 +176,7 @@ class DeviceTrajectory:
     def _follow(self, operation: Follow) -> None:
         engine, trial = self._engine, self._trial
         if self._errors:
-            engine.begin_end()
-            engine.run(GONE_ON)
+            engine.go_on()
         else:
             engine.has_start = True
             engine.run(STARTED)
