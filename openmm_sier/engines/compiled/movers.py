@@ -235,7 +235,7 @@ class Points(Mover):
         DISPLACE: ("keepVector(i, x, kept);", "x += ({scalar}*PER_UNIT*w)*forceOn(force, i);"),
         KICK_FROM_THERE: ("x = trim(kept[i]);", "v += ({scalar}*PER_UNIT*w)*forceOn(force, i);"),
         DRAW: ("v += shiftOf(values);",),
-        START: ("v *= factor;",),
+        START: ("v = factor*v;",),
         CHANGE: ("v = values[0]*v + shiftOf(values);",),
     }
 

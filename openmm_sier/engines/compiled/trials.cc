@@ -43,8 +43,8 @@ DEVICE void shiftBody(Body* body, int4 record, GLOBAL const mixed* RESTRICT valu
 }
 
 DEVICE void scaleBody(Body* body, mixed factor) {
-    body->p *= factor;
-    body->L *= factor;
+    body->p = factor*body->p;
+    body->L = factor*body->L;
 }
 
 // Keep an atom of the start, whose velocity was not multiplied by its factor yet.
