@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from typing import NamedTuple
@@ -38,7 +39,7 @@ SUM_SLOTS, SUM_SIZE = 32, 5
 #: The largest kinetic energy of a mover that is summed, kJ/mol.
 MOST_ENERGY = 1e6
 
-#: Arguments of all kernels, with their declarations in C.
+#: Arguments of kernels, with their declarations in C.
 ARGUMENTS = {
     "posq": "GLOBAL real4* RESTRICT posq",
     "posqCorrection": "GLOBAL real4* RESTRICT posqCorrection",
@@ -64,6 +65,14 @@ ARGUMENTS = {
     START_SUMS: "GLOBAL mm_ulong* RESTRICT startSums",
     END_SUMS: "GLOBAL mm_ulong* RESTRICT endSums",
     "heat": "GLOBAL mm_long* RESTRICT heat",
+}
+
+
+#: Macros that stand for several of them.
+MACROS = {
+    "THE_POSITIONS": ("posq", "posqCorrection"),
+    "THE_BODY_TABLES": ("bodyAtoms", "sites", "kinds"),
+    "THE_START": ("startX", "startV", "startF"),
 }
 
 
@@ -187,12 +196,13 @@ class ProgramWriter:
         if key not in self._kernels:
             texts = self._teams.setdefault(team, [])
             name = f"sierStep{len(texts)}"
-            texts.append(_function(name, team, body))
+            arguments = _arguments(body)
+            texts.append(_function(name, team, arguments, body))
             threads = team * sum(each.mover.number for each in work)
             moves = any(call.moves for each in work for call in each.calls)
             source = list(self._teams).index(team)
             block = BLOCK if team == 1 else team
-            self._kernels[key] = Kernel(name, source, tuple(ARGUMENTS), threads, block, noise, moves)
+            self._kernels[key] = Kernel(name, source, arguments, threads, block, noise, moves)
         return list(self._kernels).index(key)
 
     def _source(self, team: int, texts: Iterable[str]) -> str:
@@ -249,19 +259,28 @@ def _body(team: int, work: Sequence[Work], counts_heat: bool) -> tuple[str, int]
     return "\n".join([*lines, "    }\n"]), noise
 
 
-def _function(name: str, team: int, body: str) -> str:
+def _arguments(body: str) -> tuple[str, ...]:
+    """Return the arguments that the body of a kernel uses: OpenMM passes each anew in every launch."""
+    words = set(re.findall(r"\w+", body))
+    for macro, arguments in MACROS.items():
+        if macro in words:
+            words.update(arguments)
+    return tuple(argument for argument in ARGUMENTS if argument in words)
+
+
+def _function(name: str, team: int, arguments: Sequence[str], body: str) -> str:
     buffer = f"    LOCAL mixed buffer[{3 * team}];\n" if team > 1 else ""
-    return f"KERNEL void {name}({_parameters()}) {{\n{buffer}{body}}}\n"
+    return f"KERNEL void {name}({_parameters(arguments)}) {{\n{buffer}{body}}}\n"
 
 
-def _parameters() -> str:
-    """Return the parameters of all kernels."""
+def _parameters(arguments: Sequence[str]) -> str:
+    """Return the parameters of a kernel, the last of which is not `posqCorrection`."""
     declarations = []
-    for argument, declaration in ARGUMENTS.items():
+    for argument in arguments:
         if argument == "posqCorrection":
-            declarations.append(f"#ifdef USE_MIXED_PRECISION\n    {declaration},\n#endif")
+            declarations.append(f"#ifdef USE_MIXED_PRECISION\n    {ARGUMENTS[argument]},\n#endif")
         else:
-            declarations.append(f"    {declaration},")
+            declarations.append(f"    {ARGUMENTS[argument]},")
     return "\n" + "\n".join(declarations).rstrip(",")
 
 
