@@ -16,7 +16,7 @@ import openmm
 from openmm_sier_kernels.built_for import VERSION
 
 #: Kinds of command, as in `program.h`.
-KINDS = {"update": 0, "forces": 1, "launch": 2, "sites": 3, "forces and energy": 4, "reorder": 5}
+KINDS = {"update": 0, "forces": 1, "launch": 2, "sites": 3, "forces and energy": 4, "reorder": 5, "restored": 6}
 
 FOLDER = Path(__file__).parent
 
@@ -31,7 +31,8 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "add_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS, ctypes.c_int]),
     "add_totals": (None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int]),
     "add_kernel": (None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, *[ctypes.c_int] * 4]),
-    "add_command": (None, [ctypes.c_void_p, *[ctypes.c_int] * 3]),
+    "add_block": (None, [ctypes.c_void_p]),
+    "add_command": (None, [ctypes.c_void_p, *[ctypes.c_int] * 2]),
     "add_bodies": (None, [ctypes.c_void_p, ctypes.c_int, _INTEGERS, ctypes.c_int, ctypes.c_int]),
     "assign": (None, [ctypes.c_void_p, ctypes.c_void_p]),
     "forget": (None, [ctypes.c_void_p, ctypes.c_void_p]),
@@ -39,7 +40,8 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "set_scalars": (None, [ctypes.c_void_p, ctypes.c_double, _NUMBERS, ctypes.c_int]),
     "run": (ctypes.c_char_p, [ctypes.c_void_p, *[ctypes.c_int] * 3, _NUMBERS]),
     "write_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
-    "read_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
+    "clear_totals": (None, [ctypes.c_void_p, ctypes.c_char_p]),
+    "read_totals": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
     "read_vectors": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
     "take_total": (ctypes.c_double, [ctypes.c_void_p, ctypes.c_char_p]),
 }
@@ -129,9 +131,10 @@ class Library:
             arguments = " ".join(kernel.arguments).encode()
             numbers = kernel.threads, kernel.block, kernel.noise, kernel.moves_atoms
             self._call("add_kernel", made, kernel.name.encode(), kernel.source, arguments, *numbers)
-        for block, commands in enumerate(program.blocks):
+        for commands in program.blocks:
+            self._call("add_block", made)
             for kind, number in commands:
-                self._call("add_command", made, block, KINDS[kind], number)
+                self._call("add_command", made, KINDS[kind], number)
         for kind, atoms in enumerate(program.bodies):
             array, pointer = _integers(atoms)
             self._call("add_bodies", made, kind, pointer, *array.shape)
@@ -174,10 +177,14 @@ class Library:
         _, pointer = _numbers(values)
         self._call("write_numbers", integrator, name.encode(), pointer)
 
-    def read_numbers(self, integrator: int, name: str, size: int) -> np.ndarray:
-        """Return a table of so many numbers."""
+    def clear_totals(self, integrator: int, name: str) -> None:
+        """Set sums to zero."""
+        self._call("clear_totals", integrator, name.encode())
+
+    def read_totals(self, integrator: int, name: str, size: int) -> np.ndarray:
+        """Return so many sums, each as an integer."""
         array, pointer = _numbers(np.zeros(size))
-        self._call("read_numbers", integrator, name.encode(), pointer)
+        self._call("read_totals", integrator, name.encode(), pointer)
         return array
 
     def read_vectors(self, integrator: int, name: str, number: int) -> np.ndarray:

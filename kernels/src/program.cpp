@@ -70,8 +70,14 @@ void sier_add_kernel(Program* program, const char* name, int source, const char*
     program->kernels.push_back({name, source, words(arguments), threads, blockSize, noise, movesAtoms != 0});
 }
 
-void sier_add_command(Program* program, int block, int kind, int first) {
-    program->commands.push_back({block, kind, first});
+/** Begin another block of commands. */
+void sier_add_block(Program* program) {
+    program->blocks.emplace_back();
+}
+
+/** Add a command to the last block. */
+void sier_add_command(Program* program, int kind, int first) {
+    program->blocks.back().push_back({kind, first});
 }
 
 /** Add bodies of one kind, each of `size` atoms. */
@@ -136,19 +142,26 @@ const char* sier_run(const void* integrator, int block, int times, int areForces
     }
 }
 
-/** Write or read a table of numbers of a Context. */
+/** Write a table of numbers of a Context. */
 void sier_write_numbers(const void* integrator, const char* name, const double* values) {
     shared_ptr<Program> program = findProgram(integrator);
     if (program != nullptr && program->kernel != nullptr)
         program->kernel->writeNumbers(name, values);
 }
 
-void sier_read_numbers(const void* integrator, const char* name, double* values) {
+/** Set all sums of a name to zero, or read them. */
+void sier_clear_totals(const void* integrator, const char* name) {
+    shared_ptr<Program> program = findProgram(integrator);
+    if (program != nullptr && program->kernel != nullptr)
+        program->kernel->clearTotals(name);
+}
+
+void sier_read_totals(const void* integrator, const char* name, double* values) {
     shared_ptr<Program> program = findProgram(integrator);
     if (program == nullptr || program->kernel == nullptr)
         return;
-    vector<double> numbers = program->kernel->readNumbers(name);
-    copy(numbers.begin(), numbers.end(), values);
+    vector<long long> totals = program->kernel->readTotals(name);
+    copy(totals.begin(), totals.end(), values);
 }
 
 /** Read a table of vectors of four, one for each atom, as (N, 3) numbers; leave them where no Context has it. */

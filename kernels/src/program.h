@@ -52,13 +52,13 @@ enum CommandKind {
     SITES = 3,
     /** The forces and the energy of these groups become known. The energy is added to that of the run. */
     FORCES_AND_ENERGY = 4,
-    /** OpenMM may put atoms that are near each other in space beside each other in memory, as it does after steps. */
-    REORDER = 5
+    /** OpenMM may put atoms that are near each other in space beside each other in memory, as after `first` steps. */
+    REORDER = 5,
+    /** A kernel has brought back the forces of the groups `first` where the atoms are. */
+    RESTORED = 6
 };
 
 struct Command {
-    /** The block that it belongs to. Block 0 is a step. */
-    int block;
     int kind;
     int first;
 };
@@ -69,14 +69,14 @@ struct Body {
     std::vector<int> atoms;
 };
 
-/** A step of an integrator, and other blocks of commands, which are executed one by one. */
+/** A step of an integrator, the first block of commands, and other blocks, which are executed one by one. */
 struct Program {
     std::vector<std::string> sources;
     std::vector<Table<int>> integers;
     std::vector<Table<double>> numbers;
     std::vector<Totals> totals;
     std::vector<KernelEntry> kernels;
-    std::vector<Command> commands;
+    std::vector<std::vector<Command>> blocks;
     std::vector<Body> bodies;
     /** Time of a step, ps. */
     double step = 0.0;

@@ -20,6 +20,9 @@ const double FIXED_POINT = 4294967296.0;
 /** Steps after which commands are sent on, so that other users of the device do not wait. */
 const int STEPS_IN_QUEUE = 100;
 
+/** Number of transfers to the device of which the last one is waited for, and with it all before. */
+const size_t MOST_SENT = 100;
+
 /** Keeps the atoms of bodies together when atoms are reordered. */
 class BodyInfo : public ComputeForceInfo {
 public:
@@ -130,6 +133,8 @@ void StepKernel::makeKernels() {
                 randomIndex = place;
             place++;
         }
+        if (randomIndex >= 0)
+            kernel->setArg(randomIndex, 0);
         kernels.push_back(kernel);
         randomIndices.push_back(randomIndex);
     }
@@ -164,8 +169,26 @@ void StepKernel::uploadScalars() {
         return;
     if ((int) program->scalars.size() != (int) scalars.getSize())
         throw OpenMMException("A SIER program was given another number of scalars than it was made with");
-    scalars.upload(program->scalars, true);
+    sendNumbers(scalars, program->scalars.data());
     program->areScalarsNew = false;
+}
+
+void StepKernel::send(ArrayInterface& array, const void* bytes) {
+    const char* start = static_cast<const char*>(bytes);
+    sent.emplace_back(start, start + array.getSize()*array.getElementSize());
+    const bool waits = sent.size() == MOST_SENT;
+    array.upload(sent.back().data(), waits);
+    if (waits)
+        sent.clear();
+}
+
+void StepKernel::sendNumbers(ArrayInterface& array, const double* values) {
+    if (array.getElementSize() == sizeof(double)) {
+        send(array, values);
+        return;
+    }
+    const vector<float> rounded(values, values + array.getSize());
+    send(array, rounded.data());
 }
 
 void StepKernel::prepare() {
@@ -187,9 +210,7 @@ void StepKernel::execute(ContextImpl& context, CustomIntegrator& integrator, boo
     ContextSelector selector(cc);
     prepare();
     areForcesKnown = forcesAreValid && !hasMoved;
-    for (auto& command : program->commands)
-        if (command.block == 0)
-            run(command);
+    execute(0);
     hasMoved = false;
     cc.setTime(cc.getTime() + program->step);
     cc.setStepCount(cc.getStepCount() + 1);
@@ -199,15 +220,18 @@ void StepKernel::execute(ContextImpl& context, CustomIntegrator& integrator, boo
         cc.flushQueue();
 }
 
+void StepKernel::execute(int block) {
+    for (auto& command : program->blocks[block])
+        run(command);
+}
+
 double StepKernel::runBlock(int block, int times, bool areForcesKnown) {
     ContextSelector selector(cc);
     prepare();
     this->areForcesKnown = this->areForcesKnown && areForcesKnown;
     energy = 0;
     for (int i = 0; i < times; i++)
-        for (auto& command : program->commands)
-            if (command.block == block)
-                run(command);
+        execute(block);
     return energy;
 }
 
@@ -230,9 +254,13 @@ void StepKernel::run(const Command& command) {
             cc.getIntegrationUtilities().computeVirtualSites();
             break;
         case REORDER:
-            // OpenMM counts steps, after some of which it does so.
-            cc.setStepsSinceReorder(cc.getStepsSinceReorder() + forcesSinceReorder);
+            // OpenMM counts its calls, after some of which it does so.
+            cc.setStepsSinceReorder(cc.getStepsSinceReorder() + command.first - 1);
             reorder();
+            break;
+        case RESTORED:
+            areForcesKnown = true;
+            knownGroups = integrationGroups & command.first;
             break;
         default:
             throw OpenMMException("A SIER program has an unknown command");
@@ -241,7 +269,6 @@ void StepKernel::run(const Command& command) {
 
 void StepKernel::reorder() {
     cc.reorderAtoms();
-    forcesSinceReorder = 0;
     if (!cc.getAtomsWereReordered())
         return;
     areForcesKnown = false;
@@ -255,13 +282,12 @@ void StepKernel::calculate(int groups, bool wantsEnergy) {
     energy += wantsEnergy ? found : 0;
     areForcesKnown = true;
     knownGroups = groups;
-    forcesSinceReorder++;
 }
 
 void StepKernel::launch(int number) {
     const KernelEntry& entry = program->kernels[number];
     ComputeKernel& kernel = kernels[number];
-    if (randomIndices[number] >= 0) {
+    if (entry.noise > 0) {
         const int index = cc.getIntegrationUtilities().prepareRandomNumbers(entry.noise);
         kernel->setArg(randomIndices[number], index);
     }
@@ -281,37 +307,41 @@ double StepKernel::computeKineticEnergy(ContextImpl& context, CustomIntegrator& 
 
 void StepKernel::writeNumbers(const string& name, const double* values) {
     ContextSelector selector(cc);
-    ArrayInterface& array = arrays.at(name);
-    array.upload(vector<double>(values, values + array.getSize()), true);
+    sendNumbers(arrays.at(name), values);
 }
 
-vector<double> StepKernel::readNumbers(const string& name) {
+void StepKernel::clearTotals(const string& name) {
     ContextSelector selector(cc);
-    vector<double> numbers;
-    arrays.at(name).download(numbers, true);
-    return numbers;
+    ArrayInterface& array = arrays.at(name);
+    const vector<long long> zeros(array.getSize(), 0);
+    send(array, zeros.data());
+}
+
+vector<long long> StepKernel::readTotals(const string& name) {
+    ContextSelector selector(cc);
+    vector<long long> totals;
+    arrays.at(name).download(totals);
+    sent.clear();
+    return totals;
 }
 
 void StepKernel::readVectors(const string& name, double* values) {
     if (order.empty())
         return;
-    const vector<double> vectors = readNumbers(name);
+    ContextSelector selector(cc);
+    vector<double> vectors;
+    arrays.at(name).download(vectors, true);
     for (int i = 0; i < cc.getNumAtoms(); i++)
         for (int x = 0; x < 3; x++)
             values[3 * order[i] + x] = vectors[4 * i + x];
 }
 
 double StepKernel::takeTotal(const string& name) {
-    auto found = arrays.find(name);
-    if (found == arrays.end())
-        return 0.0;
-    ContextSelector selector(cc);
-    vector<long long> parts;
-    found->second.download(parts);
-    cc.clearBuffer(found->second);
     double sum = 0;
-    for (long long part : parts)
+    for (long long part : readTotals(name))
         sum += part / FIXED_POINT;
+    ContextSelector selector(cc);
+    cc.clearBuffer(arrays.at(name));
     return sum;
 }
 

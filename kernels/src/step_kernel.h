@@ -9,6 +9,7 @@
 #include "openmm/common/ComputeKernel.h"
 #include "openmm/kernels.h"
 
+#include <list>
 #include <map>
 
 namespace OpenMMSIER {
@@ -42,9 +43,12 @@ public:
      */
     double runBlock(int block, int times, bool areForcesKnown);
 
-    /** Write or read a table of numbers. */
+    /** Write a table of numbers, without waiting for the device. */
     void writeNumbers(const std::string& name, const double* values);
-    std::vector<double> readNumbers(const std::string& name);
+
+    /** Set sums to zero, without waiting for the device; read them. */
+    void clearTotals(const std::string& name);
+    std::vector<long long> readTotals(const std::string& name);
 
     /** Read vectors of atoms, in the order that atoms had in the last step. */
     void readVectors(const std::string& name, double* values);
@@ -60,6 +64,10 @@ private:
     /** Add an argument, and return whether it is the index of the random vectors. */
     bool addArgument(OpenMM::ComputeKernel& kernel, const std::string& name);
     void uploadScalars();
+    /** Send all of an array, the bytes of its elements, without waiting for the device. */
+    void send(OpenMM::ArrayInterface& array, const void* bytes);
+    void sendNumbers(OpenMM::ArrayInterface& array, const double* values);
+    void execute(int block);
     /** Make what the first block or step needs. */
     void prepare();
     void run(const Command& command);
@@ -74,8 +82,10 @@ private:
     std::map<std::string, OpenMM::ComputeArray> arrays;
     OpenMM::ComputeArray scalars;
     std::vector<OpenMM::ComputeKernel> kernels;
-    /** For each kernel, the place of the index of its random vectors among its arguments; -1 without noise. */
+    /** For each kernel, the place of the index of its random vectors among its arguments. */
     std::vector<int> randomIndices;
+    /** What was sent, which OpenMM may not have read yet, since the device was last waited for. */
+    std::list<std::vector<char>> sent;
     /** Numbers of the atoms in the order that they had in the last step. */
     std::vector<int> order;
     int integrationGroups = -1;
@@ -84,8 +94,6 @@ private:
     int knownGroups = 0;
     /** Whether a block has moved atoms since the last step. */
     bool hasMoved = false;
-    /** Number of forces since atoms could be reordered. */
-    int forcesSinceReorder = 0;
     /** Sum of the energies of a run. */
     double energy = 0.0;
 };

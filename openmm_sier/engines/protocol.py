@@ -1,6 +1,6 @@
 """Engines, which move the bodies of one Context. Ensembles act between the steps that an engine makes."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -28,6 +28,9 @@ class Engine(Verbs):
 
     The methods here are built from the verbs. No engine replaces them, but for `make_trial` if it is one native step.
     """
+
+    #: Returns the kinetic energy of the Context, kJ/mol, which the device sums; None where it does not.
+    sum_on_device: Callable[[], float] | None = None
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
         super().__init__(context, method, tally)

@@ -76,7 +76,7 @@ class Session:
 
     def take(self, engine: Engine, system: openmm.System) -> None:
         """Let an engine make the steps in the Context of a System."""
-        self.watch = RunawayWatch(system, engine.degrees_of_freedom(conserved=False))
+        self.watch = RunawayWatch(system, engine.degrees_of_freedom(conserved=False), engine.sum_on_device)
         self._engine = engine
 
     @property

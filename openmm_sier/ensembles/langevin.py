@@ -21,7 +21,7 @@ class Langevin(ConstantTemperature):
             three, along the principal axes. In place of a name "default" stands for all bodies that are not named.
         rotational_friction: of rotation, likewise, about the principal axes; None: that of translation, also after that
             was changed.
-        counts_heat: tells whether the native engine counts the heat of the bath; None counts it except on GPUs.
+        counts_heat: tells whether engines other than the exact one count the heat of the bath; None: except on GPUs.
     """
 
     friction: Friction

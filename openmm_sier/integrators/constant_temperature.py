@@ -97,12 +97,12 @@ class SIERThermostatIntegrator(SIERIntegrator):
         thermostat or barostat of OpenMM in the System, which is not counted.
 
         Raises:
-            openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.
+            openmm.OpenMMException: the engine does not count it, see `SIERLangevinIntegrator`.
         """
         heat = self.countedHeat
         if math.isnan(heat):
             raise openmm.OpenMMException(
                 "This integrator does not count the heat of its bath. Make it with countsHeat=True; counting takes up "
-                "to a fifth of a step on a GPU"
+                "to a fifth of a step of the native engine on a GPU"
             )
         return heat * unit.kilojoule_per_mole

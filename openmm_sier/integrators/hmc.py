@@ -43,8 +43,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     precision, OpenMM's default: `Simulation(topology, system, integrator, platform, {'Precision': 'mixed'})`.
 
     Random numbers are a function of the seed and of the number of draws so far. Checkpoints contain both, and a State
-    the number. The native engine takes the directions of momenta from OpenMM's random numbers, which checkpoints
-    contain. The total energy less the heat changes only by the energy errors of accepted ends.
+    the number. Other engines than the exact one take the directions of momenta from OpenMM's random numbers, which
+    checkpoints contain. The total energy less the heat changes only by the energy errors of accepted ends.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.

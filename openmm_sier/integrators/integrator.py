@@ -159,7 +159,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def countedHeat(self) -> float:
         """Return the energy that baths, volume moves and a CMMotionRemover gave to the bodies, kJ/mol.
 
-        NaN where the native engine does not count it; see `countsHeat` of `SIERLangevinIntegrator`.
+        NaN where the engine does not count it; see `countsHeat` of `SIERLangevinIntegrator`.
         """
         return self.impl.engine.heat()
 
@@ -208,8 +208,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Advance by a number of steps.
 
         An interrupt leaves the Context at the last completed step. With the exact engine an error does the same. With
-        the native engine an error leaves the Context where it happened, as with OpenMM's integrators, except in trials
-        and in a step that follows a move of the volume or of velocities, which are undone.
+        the others an error leaves the Context where it happened, as with OpenMM's integrators, except in trials and in
+        a step that follows a move of the volume or of velocities, which are undone.
 
         Raises:
             ValueError: `steps` is negative or not a whole number.

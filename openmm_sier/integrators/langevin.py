@@ -30,7 +30,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
     OpenMM's LangevinMiddleIntegrator. With other schemes half of it acts at either end.
 
     A checkpoint continues the same trajectory. With the exact engine a State does too if you set the same seed. With
-    the native engine it does not, since OpenMM's noise is only in checkpoints.
+    the others it does not, since OpenMM's noise is only in checkpoints.
 
     With `pressure`, Monte Carlo moves change the volume of the box, and a restarted run repeats them exactly. OpenMM's
     barostats work with this integrator too, but a State does not contain their memory of earlier moves.
@@ -72,9 +72,9 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             engine: see `SIERIntegrator`.
             substeps: see `SIERIntegrator`.
             fastForceGroups: see `SIERIntegrator`.
-            countsHeat: whether the native engine counts the heat of the bath, for `getHeat` and the conserved energy of
-                reports, which takes up to a fifth of a step on a GPU. None counts it except on GPUs. The exact engine
-                always counts it.
+            countsHeat: whether the native and the kernels engine count the heat of the bath, for `getHeat` and the
+                conserved energy of reports, which takes up to a fifth of a step of the native engine on a GPU. None
+                counts it except on GPUs. The exact engine always counts it.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or `SIERIntegrator` refuses one.

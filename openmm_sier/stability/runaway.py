@@ -4,6 +4,7 @@ Energy that an integrator creates ends as heat, so temperatures show every runaw
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import openmm
@@ -55,19 +56,25 @@ class RunawayWatch:
     """A watch that raises an error if steps have made a System far too hot, or velocities not finite.
 
     At the end of a call of `step` the caller counts its steps, and looks if a look is due: every `INTERVAL` steps, and
-    more often after a start. The watch reads the velocities of the Context, and does not change it.
+    more often after a start. The watch reads the velocities of the Context, unless there is another way to their
+    energy, and does not change it.
 
     Attributes:
         steps: number of steps since the last look.
         pause: number of steps at which a look is due.
     """
 
-    def __init__(self, system: openmm.System, freedoms: float):
+    def __init__(
+        self, system: openmm.System, freedoms: float, kinetic_energy: Callable[[], float] | None = None
+    ) -> None:
         """
         Args:
             system: openmm.System.
             freedoms: number of degrees of freedom.
+            kinetic_energy: returns that of all atoms, kJ/mol, and no finite number where it is no number; None: it is
+                computed from the velocities of the Context.
         """
+        self._kinetic_energy = kinetic_energy
         self._masses = tables.masses(system)
         self._atoms = int(np.count_nonzero(self._masses))
         self._freedoms = max(1, freedoms)
@@ -117,7 +124,11 @@ class RunawayWatch:
 
     def _temperature(self, context: openmm.Context) -> float:
         """Return the temperature of all atoms, K."""
+        energy = self._energy_of(context) if self._kinetic_energy is None else self._kinetic_energy()
+        return float(2 * energy / (self._freedoms * GAS_CONSTANT))
+
+    def _energy_of(self, context: openmm.Context) -> float:
+        """Return the kinetic energy of all atoms, kJ/mol."""
         state = openmm.Context.getState(context, velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
-        energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
-        return float(2 * energy / (self._freedoms * GAS_CONSTANT))
+        return 0.5 * float(np.einsum("i,ix,ix->", self._masses, velocities, velocities))

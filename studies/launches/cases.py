@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import openmm
 from openmm import app
@@ -12,10 +12,14 @@ from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
 from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
+from studies.launches.hexagons import rings
 from studies.methods import HEAVY, MIDDLE, VERLET, Bath, Contestant, in_bath, of_scheme, several_steps, trials
 
 #: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
 BOXES = ("tip3p-512", "tip4p-512", "peptide")
+
+#: A box of named bodies, and how many there are.
+BODIES, N_BODIES = "hexagons-1000", 1000
 
 #: nm.
 CUTOFF = 0.9
@@ -32,12 +36,14 @@ class Case(NamedTuple):
         kind: OpenMM's class that it is of.
         calls: of one step that are counted.
         steps: in a call of many, as `Simulation` has ten.
+        names_bodies: whether it moves those of the box `BODIES`, and no other box.
     """
 
     integrator: Contestant
     kind: str = "CustomIntegrator"
     calls: int = 6
     steps: int = 10
+    names_bodies: bool = False
 
 
 def _trials(engine: str, detail: str = "") -> Contestant:
@@ -59,10 +65,11 @@ CASES = {
     "sier2-kernels": Case(in_bath(engine="kernels").at(9, **HEAVY, detail=", kernels")),
     "hmc-kernels": Case(_trials("kernels", ", kernels"), calls=4, steps=4),
     "sier4g-kernels": Case(of_scheme(SIER4G, engine="kernels").at(4, **HEAVY, detail=", kernels")),
+    "bodies-kernels": Case(in_bath(engine="kernels").at(9, detail=", kernels"), names_bodies=True),
 }
 
 #: Those that need the package openmm-sier-kernels.
-WITH_KERNELS = ("sier2-kernels", "sier4g-kernels", "hmc-kernels")
+WITH_KERNELS = ("sier2-kernels", "sier4g-kernels", "hmc-kernels", "bodies-kernels")
 
 
 def usual() -> tuple[str, ...]:
@@ -75,23 +82,33 @@ def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.C
     """Return a Context on the OpenCL platform, with velocities.
 
     Args:
-        box: a name of `BOXES`.
+        box: a name of `BOXES`, or `BODIES`.
         method: the integrator.
         precision: mixed, single or double.
         seed: of velocities and of the integrator.
     """
+    system, positions, integrator = _named(method) if box == BODIES else _of_file(box, method)
+    if hasattr(integrator, "setRandomNumberSeed"):
+        integrator.setRandomNumberSeed(seed)
+    platform = openmm.Platform.getPlatformByName("OpenCL")
+    result = openmm.Context(system, integrator, platform, {"Precision": precision})
+    result.setPositions(positions)
+    if system.getNumConstraints():
+        result.applyConstraints(1e-6)
+    result.setVelocitiesToTemperature(BATH.temperature, seed)
+    return result
+
+
+def _of_file(box: str, method: Contestant) -> tuple[openmm.System, Any, openmm.Integrator]:
     path = SYSTEMS / f"{box}.pdb"
     pdb = app.PDBFile(str(path))
     field = forcefields.load(forcefields.pick(path)[0], SYSTEMS)
     topology, positions = forcefields.add_virtual_sites(pdb.topology, pdb.positions, field)
     system = field.createSystem(topology, nonbondedMethod=app.PME, nonbondedCutoff=CUTOFF, constraints=app.HBonds)
     method.fit(system)
-    integrator = method.integrator(BATH)
-    if hasattr(integrator, "setRandomNumberSeed"):
-        integrator.setRandomNumberSeed(seed)
-    platform = openmm.Platform.getPlatformByName("OpenCL")
-    result = openmm.Context(system, integrator, platform, {"Precision": precision})
-    result.setPositions(positions)
-    result.applyConstraints(1e-6)
-    result.setVelocitiesToTemperature(BATH.temperature, seed)
-    return result
+    return system, positions, method.integrator(BATH)
+
+
+def _named(method: Contestant) -> tuple[openmm.System, Any, openmm.Integrator]:
+    made = rings(N_BODIES, CUTOFF)
+    return made.system, made.positions, in_bath(engine="kernels", bodies=made.bodies).at(method.step).integrator(BATH)

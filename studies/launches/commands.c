@@ -1,8 +1,8 @@
 /* Counts the commands that a program sends to OpenCL, and passes them on.
  *
  * The linker finds the functions of a preloaded library before those of OpenCL. Those that send commands or wait for
- * them are here under their own names. Each notes its command, calls OpenCL's function, and adds up the time that the
- * calling thread spends there. `shim.py` compiles this file and calls the functions at its end.
+ * them are here under their own names. Each notes its command, calls OpenCL's function, and adds up the processor
+ * time of the calling thread there. `shim.py` compiles this file and calls the functions at its end.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -56,7 +56,7 @@ static void *find(const char *name)
 static double clock_time(void)
 {
     struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
     return now.tv_sec + 1e-9 * now.tv_nsec;
 }
 

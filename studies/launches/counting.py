@@ -7,6 +7,7 @@ prints a row of JSON. `run` starts it, with OpenCL's runtime and the library tha
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import subprocess
@@ -16,6 +17,8 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+from openmm.openmm import _openmm
 
 from studies.launches import cases, opencl
 from studies.launches.shim import Commands, Shim
@@ -118,12 +121,16 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
         # It reads velocities now and then, where a trial reads none.
         context.getIntegrator().impl.session.watch.look = lambda *_: None
 
+    into_cpp: list[tuple[Any, str]] = [(_openmm, f"{case.kind}_step")]
+    if name in cases.WITH_KERNELS:
+        into_cpp.append((importlib.import_module("openmm_sier_kernels").Library, "run"))
+
     def calls(steps: int, number: int) -> tuple[dict[str, float], float]:
         times: list[float] = []
 
         def make() -> None:
             for _ in range(number):
-                times.append(shim.python_time(partial(step, steps), case.kind))
+                times.append(shim.python_time(partial(step, steps), into_cpp))
 
         counts = numbers(shim.counted(make))
         return {name: count / number for name, count in counts.items()}, 1e6 * min(times)

@@ -7,12 +7,10 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
-
-from openmm.openmm import _openmm
 
 SOURCE = Path(__file__).with_name("commands.c")
 
@@ -107,41 +105,43 @@ class Shim:
         """Wait for the device."""
         self._library.finish_commands()
 
-    def python_time(self, action: Callable[[], object], kind: str) -> float:
-        """Do something, and return the time that passes outside OpenMM's steps and OpenCL, s.
+    def python_time(self, action: Callable[[], object], calls: Iterable[tuple[Any, str]]) -> float:
+        """Do something, and return the processor time of this thread outside C++ and OpenCL, s.
 
         Args:
             action: makes steps.
-            kind: OpenMM's class of the integrator.
+            calls: functions that call C++, each as an object and the name of its attribute.
         """
         self.finish()
-        with self._timed(f"{kind}_step") as within:
-            start, opencl = time.perf_counter(), self._library.seconds_in_opencl()
+        within: list[float] = []
+        with ExitStack() as stack:
+            for owner, name in calls:
+                stack.enter_context(self._timed(owner, name, within))
+            start, opencl = time.thread_time(), self._library.seconds_in_opencl()
             action()
             opencl = self._library.seconds_in_opencl() - opencl
-            total = time.perf_counter() - start
+            total = time.thread_time() - start
         return total - opencl - sum(within)
 
     @contextmanager
-    def _timed(self, name: str) -> Iterator[list[float]]:
-        """Record the time of each call of one of OpenMM's C++ functions, and its part in OpenCL, s.
+    def _timed(self, owner: Any, name: str, within: list[float]) -> Iterator[None]:
+        """Record the processor time of each call of a function, without its part in OpenCL, s.
 
         The program waits for the device after each call, so that the next one does not.
         """
-        original, seconds = getattr(_openmm, name), self._library.seconds_in_opencl
-        within: list[float] = []
+        original, seconds = getattr(owner, name), self._library.seconds_in_opencl
 
-        def timed(*arguments: Any) -> Any:
-            start, opencl = time.perf_counter(), seconds()
+        def timed(*arguments: Any, **options: Any) -> Any:
+            start, opencl = time.thread_time(), seconds()
             try:
-                return original(*arguments)
+                return original(*arguments, **options)
             finally:
                 opencl = seconds() - opencl
                 self.finish()
-                within.append(time.perf_counter() - start - opencl)
+                within.append(time.thread_time() - start - opencl)
 
-        setattr(_openmm, name, timed)
+        setattr(owner, name, timed)
         try:
-            yield within
+            yield
         finally:
-            setattr(_openmm, name, original)
+            setattr(owner, name, original)

@@ -46,7 +46,7 @@ class LaunchesSettings(RunsSettings):
         out: for the compiled library and the cases that were counted too.
     """
 
-    boxes: tuple[str, ...] = cases.BOXES
+    boxes: tuple[str, ...] = (*cases.BOXES, cases.BODIES)
     methods: tuple[str, ...] = ()
     precisions: tuple[str, ...] = PRECISIONS
     out: Path = Path("launches")
@@ -62,9 +62,10 @@ def tasks(settings: LaunchesSettings) -> Iterator[Task]:
     """
     names = settings.methods or cases.usual()
     chosen(names, cases.CASES, "method")
-    chosen(settings.boxes, dict.fromkeys(cases.BOXES), "box")
+    chosen(settings.boxes, dict.fromkeys((*cases.BOXES, cases.BODIES)), "box")
     for precision, box, name in product(settings.precisions, settings.boxes, names):
-        yield Task(settings, {"box": box, "precision": precision, "name": name})
+        if cases.CASES[name].names_bodies == (box == cases.BODIES):
+            yield Task(settings, {"box": box, "precision": precision, "name": name})
 
 
 def run(task: Task) -> dict[str, Any]:

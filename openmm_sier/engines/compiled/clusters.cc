@@ -125,8 +125,7 @@ DEVICE void driftClusterFromBath(Cluster* c, mixed time) {
 DEVICE void displaceCluster(Cluster* c, mixed shift, GLOBAL const mm_long* RESTRICT force, GLOBAL mixed4* RESTRICT kept) {
     Cluster moved = *c;
     for (int k = 0; k < c->size; k++) {
-        const mixed3 x = c->origin + c->x[k];
-        kept[c->atoms[k]] = make_mixed4(x.x, x.y, x.z, 0);
+        keepVector(c->atoms[k], c->origin + c->x[k], kept);
         moved.y[k] = c->x[k] + (shift*PER_UNIT*c->w[k])*forceOn(force, c->atoms[k]);
     }
     constrainCluster(&moved, 1);
@@ -145,6 +144,26 @@ DEVICE void kickClusterFrom(Cluster* c, mixed time, GLOBAL const mixed4* RESTRIC
         c->v[k] += time*a[k];
         c->x[k] = trim(kept[c->atoms[k]]) - c->origin;
     }
+}
+
+DEVICE void bathCluster(Cluster* c, GLOBAL const mixed* bath, GLOBAL const float4* noise, GLOBAL mixed4* RESTRICT bathed) {
+    for (int k = 0; k < c->size; k++) {
+        c->v[k] = bathVelocity(c->v[k], c->w[k], bath, noise[k]);
+        keepVector(c->atoms[k], c->v[k], bathed);
+    }
+}
+
+// Multiply velocities by a factor, and add a velocity.
+DEVICE void changeCluster(Cluster* c, mixed factor, mixed3 shift) {
+    for (int k = 0; k < c->size; k++)
+        c->v[k] = factor*c->v[k] + shift;
+}
+
+DEVICE mixed3 momentumOfCluster(const Cluster* c) {
+    mixed3 momentum = make_mixed3(0, 0, 0);
+    for (int k = 0; k < c->size; k++)
+        momentum += (1/c->w[k])*c->v[k];
+    return momentum;
 }
 
 DEVICE mixed kineticEnergyOfCluster(const Cluster* c) {

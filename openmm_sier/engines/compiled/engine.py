@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -11,9 +12,10 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.compiled.installation import InstalledStep
-from openmm_sier.engines.compiled.kernel_text import BATHED
+from openmm_sier.engines.compiled.kernel_text import BATHED, END_SUMS, SUM_SIZE, SUM_SLOTS
 from openmm_sier.engines.compiled.plugin import address_of
 from openmm_sier.engines.compiled.refusals import refusal, refuse_method
+from openmm_sier.engines.compiled.trial_blocks import SUMMED
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.native.constrained_start import OFF
@@ -30,6 +32,13 @@ HEAT = "heat"
 #: Atoms of bodies that are further off their places, nm, or have velocities that differ by more from those of their
 #: bodies, nm/ps, were set by a user: see `OFF`. Positions in single precision are no better.
 SINGLE_OFF = 1e-6
+
+
+class Motion(NamedTuple):
+    """Kinetic energy, kJ/mol, and momentum, (3,), of all atoms; infinite energy where that of a body is too large."""
+
+    kinetic: float
+    momentum: np.ndarray
 
 
 class KernelsEngine(NativeEngine):
@@ -133,6 +142,21 @@ class KernelsEngine(NativeEngine):
         if np.abs(rigid - now.velocities).max(initial=0.0) > SINGLE_OFF:
             openmm.Context.setVelocities(self._context, rigid)
         self._atoms.forget()
+
+    def run(self, block: int, times: int = 1, are_forces_known: bool = True) -> float:
+        """Execute a block of commands, and return the energy that it asks for, see `Library.run`."""
+        return float(self._library.run(self._address, block, times, are_forces_known))
+
+    def sum_on_device(self) -> float:
+        self._library.clear_totals(self._address, END_SUMS)
+        self.run(SUMMED)
+        return self._motion(END_SUMS).kinetic
+
+    def _motion(self, name: str) -> Motion:
+        totals = self._library.read_totals(self._address, name, SUM_SLOTS * SUM_SIZE)
+        kinetic, *momentum, excluded = totals.reshape(SUM_SLOTS, SUM_SIZE).sum(axis=0)
+        energy = math.inf if excluded else float(kinetic) / self._step.sum_units
+        return Motion(energy, np.array(momentum) / self._step.sum_units)
 
     def select_groups(self) -> None:
         """Let the next step compute forces: the program names only the fast groups."""

@@ -17,8 +17,10 @@ from openmm_sier.engines.compiled.body_tables import ClusterError, tables_of
 from openmm_sier.engines.compiled.kernel_text import ProgramWriter
 from openmm_sier.engines.compiled.plugin import address_of, library_of
 from openmm_sier.engines.compiled.refusals import moved_by_fast_forces, refusal, refuse_bodies, refuse_method
+from openmm_sier.engines.compiled.scalars import Scalars
 from openmm_sier.engines.compiled.step_program import StepProgram
-from openmm_sier.engines.compiled.writing import Scalars, StepWriter
+from openmm_sier.engines.compiled.trial_blocks import SUM, trial_blocks
+from openmm_sier.engines.compiled.writing import StepWriter, written_trajectory
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import bodies_of
@@ -35,7 +37,8 @@ class CompiledStep(NamedTuple):
         inner_fraction: the longest inner step as a fraction of the step; 1 where there are none.
         counts_heat: whether heat is counted.
         fast_groups: bit mask.
-        has_last_energy: whether the block of a last step gives the energy of its end.
+        has_last_energy: whether the end of a trajectory comes with its energy.
+        sum_units: units of sums of the motion in one kJ/mol.
     """
 
     program: StepProgram
@@ -45,6 +48,7 @@ class CompiledStep(NamedTuple):
     counts_heat: bool
     fast_groups: int
     has_last_energy: bool
+    sum_units: float
 
 
 class InstalledStep(NamedTuple):
@@ -94,7 +98,8 @@ def compiled_step(
     counts_heat = bool(method.counts_heat) or BATH not in method.scheme.operators
     # The heat of OpenMM's own thermostats is not counted by any engine.
     has_thermostat = any(kind_of(force).sets == "temperature" for force in system.getForces())
-    writer = StepWriter(counts_heat and updates and not has_thermostat)
+    scalars = Scalars()
+    writer = StepWriter(counts_heat and updates and not has_thermostat, fast > 0, scalars)
     try:
         writer.write(plan.operations)
     except ValueError as error:
@@ -106,21 +111,21 @@ def compiled_step(
         raise refusal(
             f"solves only constraints of up to four atoms to one other atom, and {error} has others"
         ) from error
-    program = ProgramWriter(body_tables, fast, counts_heat, has_sites, system.getNumParticles())
-    program.write_block(writer.epochs)
+    program = ProgramWriter(body_tables, fast, counts_heat, method.trial_steps, has_sites, system.getNumParticles())
+    program.write_block(writer.parts)
+    program.write_block(SUM)
     if method.trial_steps:
-        ending = StepWriter(counts_heat=False, scalars=writer.scalars)
-        ending.write(plan.with_energy().operations)
-        program.write_block(ending.epochs)
-        program.write_trials()
+        for block in trial_blocks(written_trajectory(plan, fast > 0, scalars), fast > 0):
+            program.write_block(block)
     return CompiledStep(
         program.program(),
-        writer.scalars,
+        scalars,
         moving,
         plan.longest_inner_step,
         counts_heat,
         fast,
         plan.with_energy() is not plan,
+        program.sum_units,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from typing import NamedTuple
@@ -9,20 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.engines.compiled.body_tables import BodyTables
-from openmm_sier.engines.compiled.movers import MAKE_RIGID, MOST_IN_CLUSTER, PROJECT, Call, Clusters, Mover
+from openmm_sier.engines.compiled.movers import MOST_IN_CLUSTER, PROJECT, Call, Clusters, Mover
 from openmm_sier.engines.compiled.step_program import (
     FORCES,
     FORCES_AND_ENERGY,
     LAUNCH,
     REORDER,
     SITES,
-    UPDATE,
     Command,
     Kernel,
     StepProgram,
 )
 from openmm_sier.engines.compiled.symbols import literal
-from openmm_sier.engines.compiled.writing import ENERGY, NOTHING, UPDATES, Epoch
+from openmm_sier.engines.compiled.writing import FAST, NOTHING, SLOW, Part
 
 #: Threads in a block of kernels in which each thread has a mover of its own.
 BLOCK = 64
@@ -30,26 +31,20 @@ BLOCK = 64
 #: Velocities just after a bath.
 BATHED = "bathed"
 
-#: Numbers of trials that the host writes, and those that it reads.
-VALUES, N_VALUES = "values", 5
-SUMS, N_SUMS = "sums", 4
+#: Numbers of trials that the host writes, and sums that it reads, in several slots; see `trials.cc`.
+VALUES, N_VALUES = "values", 8
+START_SUMS, END_SUMS = "startSums", "endSums"
+SUM_SLOTS, SUM_SIZE = 32, 5
 
-#: Kernels of `trials.cc`, each of which is a block.
-DRAW, CHANGE, KEEP, GO_BACK, SUM_MOTION = (f"sier{name}" for name in ("Draw", "Change", "Keep", "GoBack", "SumMotion"))
-TRIAL_KERNELS = DRAW, CHANGE, KEEP, GO_BACK, SUM_MOTION
+#: The largest kinetic energy of a mover that is summed, kJ/mol.
+MOST_ENERGY = 1e6
 
-#: Threads that make sums together.
-SUM_TEAM = 256
-
-#: In place of the size of a team, for kernels without movers.
-NO_TEAM = 0
-
-#: Arguments of all kernels, with their declarations in C.
+#: Arguments of kernels, with their declarations in C.
 ARGUMENTS = {
     "posq": "GLOBAL real4* RESTRICT posq",
     "posqCorrection": "GLOBAL real4* RESTRICT posqCorrection",
     "velm": "GLOBAL mixed4* RESTRICT velm",
-    "force": "GLOBAL const mm_long* RESTRICT force",
+    "force": "GLOBAL mm_long* RESTRICT force",
     "random": "GLOBAL const float4* RESTRICT random",
     "randomIndex": "int randomIndex",
     "scalars": "GLOBAL const mixed* RESTRICT scalars",
@@ -65,9 +60,19 @@ ARGUMENTS = {
     "bathed": "GLOBAL mixed4* RESTRICT bathed",
     "startX": "GLOBAL mixed4* RESTRICT startX",
     "startV": "GLOBAL mixed4* RESTRICT startV",
+    "startF": "GLOBAL mm_long* RESTRICT startF",
     "values": "GLOBAL const mixed* RESTRICT values",
-    "sums": "GLOBAL mixed* RESTRICT sums",
+    START_SUMS: "GLOBAL mm_ulong* RESTRICT startSums",
+    END_SUMS: "GLOBAL mm_ulong* RESTRICT endSums",
     "heat": "GLOBAL mm_long* RESTRICT heat",
+}
+
+
+#: Macros that stand for several of them.
+MACROS = {
+    "THE_POSITIONS": ("posq", "posqCorrection"),
+    "THE_BODY_TABLES": ("bodyAtoms", "sites", "kinds"),
+    "THE_START": ("startX", "startV", "startF"),
 }
 
 
@@ -79,14 +84,23 @@ class Work(NamedTuple):
 
 
 class ProgramWriter:
-    """Writer of a program from epochs."""
+    """Writer of a program from parts."""
 
-    def __init__(self, tables: BodyTables, fast_groups: int, counts_heat: bool, has_sites: bool, n_particles: int):
+    def __init__(
+        self,
+        tables: BodyTables,
+        fast_groups: int,
+        counts_heat: bool,
+        trial_steps: int,
+        has_sites: bool,
+        n_particles: int,
+    ) -> None:
         """
         Args:
             tables: all that moves.
             fast_groups: bit mask.
             counts_heat: whether heat is counted.
+            trial_steps: number of steps of a trial; 0 without blocks of trials.
             has_sites: whether there are virtual sites.
             n_particles: number of particles.
         """
@@ -95,6 +109,7 @@ class ProgramWriter:
         self._counts_heat = counts_heat
         self._has_sites = has_sites
         self._n_particles = n_particles
+        self._trial_steps = trial_steps
         self._blocks: list[list[Command]] = []
         #: Kernels by their text, and the texts of each size of a team.
         self._kernels: dict[tuple[int, str], Kernel] = {}
@@ -105,39 +120,28 @@ class ProgramWriter:
         """Return the commands of the block that is written."""
         return self._blocks[-1]
 
-    def write_block(self, epochs: Iterable[Epoch]) -> None:
-        """Write epochs as a block of commands."""
+    def write_block(self, parts: Iterable[Part]) -> None:
+        """Write parts as a block of commands."""
         self._blocks.append([])
-        for epoch in epochs:
-            self._write_epoch(epoch)
-
-    def write_trials(self) -> None:
-        """Write the blocks of trials: the energy where the atoms are, and one for each of `TRIAL_KERNELS`."""
-        self.write_block([Epoch(ENERGY)])
-        self._teams[NO_TEAM] = [_trial_functions()]
-        for name in TRIAL_KERNELS:
-            self._blocks.append([Command(REORDER)] if name == DRAW else [])
-            team = SUM_TEAM if name == SUM_MOTION else BLOCK
-            threads = SUM_TEAM if name == SUM_MOTION else self._n_particles
-            noise = self._n_particles if name == DRAW else 0
-            source = list(self._teams).index(NO_TEAM)
-            kernel = Kernel(name, source, tuple(ARGUMENTS), threads, team, noise, name == GO_BACK)
-            self._kernels[NO_TEAM, name] = kernel
-            self._commands.append(Command(LAUNCH, len(self._kernels) - 1))
-            if name == DRAW:
-                call = [Call(MAKE_RIGID)]
-                self._write_epoch(Epoch(NOTHING, call, [call]))
-            if name == GO_BACK and self._has_sites:
-                self._commands.append(Command(SITES))
+        has_moved = False
+        for part in parts:
+            if has_moved and part.begins_with != FAST:
+                self._place_sites()
+                has_moved = False
+            self._write_part(part)
+            has_moved = has_moved or part.moves
+        if has_moved:
+            self._place_sites()
 
     def program(self) -> StepProgram:
         """Return the program of all blocks."""
         tables = self._tables
         vectors = np.zeros(4 * self._n_particles)
-        of_trials = vectors if NO_TEAM in self._teams else np.zeros(4)
-        heat_parts = max(1, sum(mover.number for mover in (*tables.others, *tables.members)))
+        of_trials = vectors if self._trial_steps else np.zeros(4)
+        sums = SUM_SLOTS * SUM_SIZE
+        forces = 3 * self._n_particles if self._trial_steps else 1
         return StepProgram(
-            sources=tuple(_source(team, texts, self._n_particles) for team, texts in self._teams.items()),
+            sources=tuple(self._source(team, texts) for team, texts in self._teams.items()),
             integers=tables.integers,
             numbers={
                 **tables.numbers,
@@ -146,32 +150,37 @@ class ProgramWriter:
                 "startX": of_trials,
                 "startV": of_trials,
                 VALUES: np.zeros(N_VALUES),
-                SUMS: np.zeros(N_SUMS),
             },
-            totals={"heat": heat_parts},
+            totals={"heat": max(1, self._n_movers), START_SUMS: sums, END_SUMS: sums, "startF": forces},
             kernels=tuple(self._kernels.values()),
             blocks=tuple(map(tuple, self._blocks)),
             bodies=tables.atoms,
         )
 
-    def _write_epoch(self, epoch: Epoch) -> None:
-        if epoch.begins_with == UPDATES:
-            self._commands.append(Command(UPDATE))
-        elif epoch.begins_with == FORCES:
-            self._commands.append(Command(FORCES, _signed(~self._fast_groups)))
-        elif epoch.begins_with == ENERGY:
-            if self._fast_groups:
-                self._commands.append(Command(FORCES_AND_ENERGY, _signed(self._fast_groups)))
-            self._commands.append(Command(FORCES_AND_ENERGY, _signed(~self._fast_groups)))
-        for number, part in enumerate(epoch.parts):
-            if number:
-                self._commands.append(Command(FORCES, _signed(self._fast_groups)))
-            work = [Work(mover, tuple(part)) for mover in self._tables.members]
-            if not number:
-                work += [Work(mover, tuple(epoch.others)) for mover in self._tables.others]
-            self._launch(work)
-        if epoch.moves and self._has_sites:
+    @property
+    def _n_movers(self) -> int:
+        return sum(mover.number for mover in (*self._tables.others, *self._tables.members))
+
+    @property
+    def sum_units(self) -> float:
+        """Return the units of sums of trials in one kJ/mol or Da nm/ps, a power of two with which none overflows."""
+        return 2.0 ** math.floor(62 - math.log2(MOST_ENERGY * max(1, self._n_movers)))
+
+    def _place_sites(self) -> None:
+        if self._has_sites:
             self._commands.append(Command(SITES))
+
+    def _write_part(self, part: Part) -> None:
+        groups = _signed(self._fast_groups if part.begins_with == FAST else ~self._fast_groups)
+        if part.begins_with == REORDER:
+            self._commands.append(Command(REORDER, self._trial_steps))
+        elif part.begins_with in (SLOW, FAST):
+            self._commands.append(Command(FORCES_AND_ENERGY if part.wants_energy else FORCES, groups))
+        elif part.begins_with != NOTHING:
+            self._commands.append(Command(part.begins_with, groups))
+        work = [Work(mover, tuple(part.members)) for mover in self._tables.members]
+        work += [Work(mover, tuple(part.others)) for mover in self._tables.others]
+        self._launch(work)
 
     def _launch(self, work: Sequence[Work]) -> None:
         """Launch a kernel for all movers that have a thread each, and one for those that have a team each."""
@@ -187,13 +196,34 @@ class ProgramWriter:
         if key not in self._kernels:
             texts = self._teams.setdefault(team, [])
             name = f"sierStep{len(texts)}"
-            texts.append(_function(name, team, body))
+            arguments = _arguments(body)
+            texts.append(_function(name, team, arguments, body))
             threads = team * sum(each.mover.number for each in work)
             moves = any(call.moves for each in work for call in each.calls)
             source = list(self._teams).index(team)
             block = BLOCK if team == 1 else team
-            self._kernels[key] = Kernel(name, source, tuple(ARGUMENTS), threads, block, noise, moves)
+            self._kernels[key] = Kernel(name, source, arguments, threads, block, noise, moves)
         return list(self._kernels).index(key)
+
+    def _source(self, team: int, texts: Iterable[str]) -> str:
+        """Return kernels with what they have in common."""
+        # Its formulas bring Numba, which takes long to import.
+        from openmm_sier.engines.compiled import rotation
+
+        head, marker, rest = _text("motion.cc").partition("// --- formulas ---\n")
+        constants = {
+            "LANES": team,
+            "MOST_IN_CLUSTER": MOST_IN_CLUSTER,
+            "LONGEST_PHASE": literal(rotation.LONGEST_PHASE),
+            "NUM_PARTICLES": self._n_particles,
+            "SUM_SLOTS": SUM_SLOTS,
+            "SUM_SIZE": SUM_SIZE,
+            "SUM_UNITS": literal(self.sum_units),
+            "MOST_ENERGY": literal(MOST_ENERGY),
+        }
+        defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+        functions = [rotation.functions(), marker + rest, _text("clusters.cc"), _text("trials.cc")]
+        return "\n".join([defined + head, *functions, *texts])
 
 
 def _does_something(each: Work) -> bool:
@@ -229,44 +259,31 @@ def _body(team: int, work: Sequence[Work], counts_heat: bool) -> tuple[str, int]
     return "\n".join([*lines, "    }\n"]), noise
 
 
-def _function(name: str, team: int, body: str) -> str:
+def _arguments(body: str) -> tuple[str, ...]:
+    """Return the arguments that the body of a kernel uses: OpenMM passes each anew in every launch."""
+    words = set(re.findall(r"\w+", body))
+    for macro, arguments in MACROS.items():
+        if macro in words:
+            words.update(arguments)
+    return tuple(argument for argument in ARGUMENTS if argument in words)
+
+
+def _function(name: str, team: int, arguments: Sequence[str], body: str) -> str:
     buffer = f"    LOCAL mixed buffer[{3 * team}];\n" if team > 1 else ""
-    return f"KERNEL void {name}({_parameters()}) {{\n{buffer}{body}}}\n"
+    return f"KERNEL void {name}({_parameters(arguments)}) {{\n{buffer}{body}}}\n"
 
 
-def _parameters() -> str:
-    """Return the parameters of all kernels."""
+def _parameters(arguments: Sequence[str]) -> str:
+    """Return the parameters of a kernel, the last of which is not `posqCorrection`."""
     declarations = []
-    for argument, declaration in ARGUMENTS.items():
+    for argument in arguments:
         if argument == "posqCorrection":
-            declarations.append(f"#ifdef USE_MIXED_PRECISION\n    {declaration},\n#endif")
+            declarations.append(f"#ifdef USE_MIXED_PRECISION\n    {ARGUMENTS[argument]},\n#endif")
         else:
-            declarations.append(f"    {declaration},")
+            declarations.append(f"    {ARGUMENTS[argument]},")
     return "\n" + "\n".join(declarations).rstrip(",")
-
-
-def _trial_functions() -> str:
-    """Return the kernels of trials."""
-    return _text("trials.cc").replace("(PARAMETERS)", f"({_parameters()})")
 
 
 def _text(name: str) -> str:
     """Return a file of this folder."""
     return resources.files("openmm_sier.engines.compiled").joinpath(name).read_text()
-
-
-def _source(team: int, texts: Iterable[str], n_particles: int) -> str:
-    """Return kernels with what they have in common."""
-    # Its formulas bring Numba, which takes long to import.
-    from openmm_sier.engines.compiled import rotation
-
-    head, marker, rest = _text("motion.cc").partition("// --- formulas ---\n")
-    constants = {
-        "LANES": max(1, team),
-        "MOST_IN_CLUSTER": MOST_IN_CLUSTER,
-        "LONGEST_PHASE": literal(rotation.LONGEST_PHASE),
-        "NUM_PARTICLES": n_particles,
-        "SUM_TEAM": SUM_TEAM,
-    }
-    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    return "\n".join([defined + head, rotation.functions(), marker + rest, _text("clusters.cc"), *texts])

@@ -68,6 +68,11 @@ DEVICE void putPosition(POSITIONS, int i, mixed3 x) {
 #endif
 }
 
+// Keep a vector of an atom in a table.
+DEVICE void keepVector(int i, mixed3 v, GLOBAL mixed4* RESTRICT table) {
+    table[i] = make_mixed4(v.x, v.y, v.z, 0);
+}
+
 DEVICE mixed3 velocityOf(GLOBAL const mixed4* RESTRICT velm, int i) {
     const mixed4 v = velm[i];
     return make_mixed3(v.x, v.y, v.z);
@@ -263,8 +268,7 @@ DEVICE mm_long fixedPoint(mixed energy) {
 DEVICE void keepPositions(int4 record, POSITIONS, GLOBAL mixed4* RESTRICT kept, GLOBAL const int* RESTRICT bodyAtoms) {
     for (int k = LANE; k < record.y; k += LANES) {
         const int i = bodyAtoms[record.x + k];
-        const mixed3 x = positionOf(THE_POSITIONS, i);
-        kept[i] = make_mixed4(x.x, x.y, x.z, 0);
+        keepVector(i, positionOf(THE_POSITIONS, i), kept);
     }
 }
 
@@ -274,7 +278,7 @@ DEVICE void swapPositions(int4 record, POSITIONS, GLOBAL mixed4* RESTRICT kept, 
         const int i = bodyAtoms[record.x + k];
         const mixed3 x = positionOf(THE_POSITIONS, i);
         putPosition(THE_POSITIONS, i, trim(kept[i]));
-        kept[i] = make_mixed4(x.x, x.y, x.z, 0);
+        keepVector(i, x, kept);
     }
     WAIT_FOR_TEAM;
 }

@@ -6,20 +6,26 @@ functions of `motion.cc` one after the other, and writes the atoms.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 #: What calls do. A gradient kick is two of them, with forces at the displaced positions between.
 KICK, DISPLACE, KICK_FROM_THERE = "kick", "displace", "kick from there"
 DRIFT, TO_BATH, BATHE, FROM_BATH = "drift", "drift to bath", "bathe", "drift from bath"
-PROJECT, MAKE_RIGID = "project", "make rigid"
+PROJECT = "project"
 COUNT_BEFORE, COUNT_AFTER = "count before", "count after"
+
+#: Those of trials: velocities are drawn, and their energy is summed; they are scaled and the start is kept; the energy
+#: of an end is summed; velocities are multiplied and shifted; the start comes back.
+DRAW, START, SUM_END, CHANGE, GO_BACK = "draw", "start", "sum end", "change", "go back"
 
 #: The calls that change positions.
 DRIFTS = DRIFT, TO_BATH, FROM_BATH
-MOVES = *DRIFTS, DISPLACE, KICK_FROM_THERE
+MOVES = *DRIFTS, DISPLACE, KICK_FROM_THERE, GO_BACK
+
+#: The calls that change nothing of a mover.
+READS = COUNT_BEFORE, COUNT_AFTER, SUM_END
 
 #: Atoms in a cluster of constraints to one of them.
 MOST_IN_CLUSTER = 5
@@ -43,8 +49,20 @@ class Call(NamedTuple):
         return self.kind in MOVES
 
 
+class _Atoms(NamedTuple):
+    """How code goes through the atoms of a mover.
+
+    Attributes:
+        loop: head of a loop, if any.
+        number: expression of the number of an atom.
+    """
+
+    loop: str
+    number: str
+
+
 @dataclass(frozen=True)
-class Mover(ABC):
+class Mover:
     """Bodies or points that move in one way.
 
     Attributes:
@@ -58,31 +76,24 @@ class Mover(ABC):
     part: int
 
     #: Threads that share one of them.
-    team = 1
+    team: ClassVar[int] = 1
     #: Random vectors for each in a bath.
-    noise = 1
-
-    @abstractmethod
-    def begin(self, calls: Sequence[Call]) -> list[str]:
-        """Return lines that read number n."""
-
-    @abstractmethod
-    def end(self, calls: Sequence[Call]) -> list[str]:
-        """Return lines that write it."""
-
-    @abstractmethod
-    def call(self, call: Call, noise: int) -> list[str]:
-        """Return the lines of a call.
-
-        Args:
-            call: the call.
-            noise: the first random vector for these movers.
-        """
-
-    @property
-    @abstractmethod
-    def energy(self) -> str:
-        """Return an expression of the kinetic energy."""
+    noise: ClassVar[int] = 1
+    #: Lines that find number n, with `{first}`, and lines that then read it.
+    found: ClassVar[tuple[str, ...]]
+    read: ClassVar[tuple[str, ...]]
+    #: Lines that come before the reading after a displacement.
+    came_back: ClassVar[tuple[str, ...]] = ()
+    #: Lines that write velocities, and positions.
+    moved: ClassVar[tuple[str, ...]]
+    placed: ClassVar[tuple[str, ...]]
+    #: Its atoms once it was found.
+    atoms: ClassVar[_Atoms]
+    #: Expressions of kinetic energy and momentum.
+    energy: ClassVar[str]
+    momentum: ClassVar[str]
+    #: Lines of calls, with `{scalar}`, the first scalar; `{bath}`, its place, and `{noise}`, that of the noise.
+    texts: ClassVar[Mapping[str, tuple[str, ...]]]
 
     def lines(self, calls: Sequence[Call], noise: int, counts_heat: bool) -> tuple[list[str], int]:
         """Return all lines for number n, and the number of random vectors that they use for all movers.
@@ -92,84 +103,107 @@ class Mover(ABC):
             noise: the first random vector.
             counts_heat: whether the heat of baths is counted.
         """
-        lines = self.begin(calls)
+        lines = [line.format(first=self.first) for line in self.found]
+        kinds = [call.kind for call in calls]
+        if kinds == [GO_BACK]:
+            return [*lines, self._on_atoms("goBack({}, THE_POSITIONS, velm, force, THE_START);")], 0
+        if kinds[0] == KICK_FROM_THERE:
+            lines += self.came_back
+        lines += self.read
         used = 0
-        divides_drift = any(call.kind == TO_BATH for call in calls)
         for call in calls:
-            if call.kind in (COUNT_BEFORE, COUNT_AFTER):
-                lines += self.count("-" if call.kind == COUNT_BEFORE else "+")
-            elif counts_heat:
-                lines += self.counted(call, noise + used, divides_drift)
-            else:
-                lines += self.call(call, noise + used)
-            if call.kind == BATHE:
+            written = self._counted if counts_heat else self._call
+            lines += written(call, noise + used, kinds)
+            if call.kind in (BATHE, DRAW):
                 used += self.noise * self.number
-        return lines + self.end(calls), used
+        return lines + self._end(calls), used
 
-    def counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
-        """Return the lines of a call, with those that count the heat of a bath.
+    def _end(self, calls: Sequence[Call]) -> list[str]:
+        """Return lines that write what calls have changed."""
+        if all(call.kind in READS for call in calls):
+            return []
+        return [*self.moved, *(self.placed if any(call.moves for call in calls) else ())]
+
+    def _call(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
+        """Return the lines of a call.
 
         Args:
             call: the call.
             noise: the first random vector for these movers.
-            divides_drift: whether the bath is in the middle of a drift.
+            kinds: those of all calls.
         """
-        lines = self.call(call, noise)
-        return [*self.count("-"), *lines, *self.count("+")] if call.kind == BATHE else lines
+        if call.kind in (COUNT_BEFORE, COUNT_AFTER):
+            return self._count("-" if call.kind == COUNT_BEFORE else "+")
+        if call.kind == SUM_END:
+            return self._sum("endSums")
+        place = call.scalars[0] if call.scalars else 0
+        values = {"scalar": f"scalars[{place}]", "bath": f"scalars + {place}", "noise": noise}
+        lines = [line.format(**values) for line in self.texts.get(call.kind, ())]
+        if call.kind == DRAW:
+            bath = [line.format(**values | {"bath": "values"}) for line in self.texts[BATHE]]
+            return [*lines, *bath, *self._call(Call(PROJECT), noise, kinds), *self._sum("startSums")]
+        if call.kind == START:
+            factor = "const mixed factor = factorOfStart(values, startSums);"
+            return [factor, *lines, self._on_atoms("keepStart({}, THE_POSITIONS, velm, force, factor, THE_START);")]
+        return lines
 
-    def count(self, sign: str) -> list[str]:
+    def _counted(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
+        """Return the lines of a call, with those that count the heat of a bath."""
+        lines = self._call(call, noise, kinds)
+        return [*self._count("-"), *lines, *self._count("+")] if call.kind == BATHE else lines
+
+    def _count(self, sign: str) -> list[str]:
         """Return lines that add the kinetic energy to the heat, or take it from there."""
-        is_first = "" if self.team == 1 else "if (LANE == 0) "
-        return [f"{is_first}heat[{self.part} + n] {sign}= fixedPoint({self.energy});"]
+        return [f"{self._once}heat[{self.part} + n] {sign}= fixedPoint({self.energy});"]
+
+    def _sum(self, sums: str) -> list[str]:
+        """Return lines that add kinetic energy and momentum to sums of trials."""
+        return [f"{self._once}addToSums({sums}, {self.energy}, {self.momentum});"]
+
+    @property
+    def _once(self) -> str:
+        """Return what lets one thread do it."""
+        return "" if self.team == 1 else "if (LANE == 0) "
+
+    def _on_atoms(self, statement: str) -> str:
+        """Return a statement for each atom."""
+        return self.atoms.loop + statement.format(self.atoms.number)
 
 
 class Bodies(Mover):
     """Rigid bodies of a table `bodies`, each of which a thread moves."""
 
     noise = 2
+    found = (
+        "const int4 record = bodies[{first} + n];",
+        "const int4 reference = references[record.w];",
+    )
+    read = ("Body body = readBody(record, reference, THE_POSITIONS, velm, THE_BODY_TABLES THE_TEAM);",)
+    came_back = ("swapPositions(record, THE_POSITIONS, kept, bodyAtoms);",)
+    moved = ("moveBody(&body, record, velm, THE_BODY_TABLES);",)
+    placed = ("placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);",)
+    atoms = _Atoms("for (int k = LANE; k < record.y; k += LANES) ", "bodyAtoms[record.x + k]")
+    energy = "kineticEnergyOfBody(&body, record, THE_BODY_TABLES)"
+    momentum = "body.p"
+    texts: ClassVar = {
+        KICK: ("kickBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);",),
+        **dict.fromkeys(DRIFTS, ("driftBody(&body, record, {scalar}, THE_BODY_TABLES);",)),
+        BATHE: ("bathBody(&body, record, {bath}, random + randomIndex + {noise} + 2*n, THE_BODY_TABLES);",),
+        # Velocities are those about the axes before.
+        DISPLACE: (
+            "moveBody(&body, record, velm, THE_BODY_TABLES);",
+            "keepPositions(record, THE_POSITIONS, kept, bodyAtoms);",
+            "displaceBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);",
+            "placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);",
+        ),
+        KICK_FROM_THERE: ("kickBodyFrom(&body, record, {scalar}, kept, force, bodyAtoms THE_TEAM);",),
+        DRAW: ("shiftBody(&body, record, values, THE_BODY_TABLES);",),
+        START: ("scaleBody(&body, factor);",),
+        CHANGE: ("scaleBody(&body, values[0]);", "shiftBody(&body, record, values, THE_BODY_TABLES);"),
+    }
 
-    def begin(self, calls: Sequence[Call]) -> list[str]:
-        lines = [
-            f"const int4 record = bodies[{self.first} + n];",
-            "const int4 reference = references[record.w];",
-        ]
-        if calls[0].kind == KICK_FROM_THERE:
-            lines.append("swapPositions(record, THE_POSITIONS, kept, bodyAtoms);")
-        lines.append("Body body = readBody(record, reference, THE_POSITIONS, velm, THE_BODY_TABLES THE_TEAM);")
-        return lines
-
-    def end(self, calls: Sequence[Call]) -> list[str]:
-        if calls[-1].kind == DISPLACE or all(call.kind in (COUNT_BEFORE, COUNT_AFTER) for call in calls):
-            return []
-        lines = ["moveBody(&body, record, velm, THE_BODY_TABLES);"]
-        if any(call.moves for call in calls):
-            lines.append("placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);")
-        return lines
-
-    def call(self, call: Call, noise: int) -> list[str]:
-        scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
-        if call.kind == KICK:
-            return [f"kickBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);"]
-        if call.kind in DRIFTS:
-            return [f"driftBody(&body, record, {scalar}, THE_BODY_TABLES);"]
-        if call.kind == BATHE:
-            random = f"random + randomIndex + {noise} + 2*n"
-            return [f"bathBody(&body, record, scalars + {call.scalars[0]}, {random}, THE_BODY_TABLES);"]
-        if call.kind == DISPLACE:
-            # Velocities are those about the axes before.
-            return [
-                "moveBody(&body, record, velm, THE_BODY_TABLES);",
-                "keepPositions(record, THE_POSITIONS, kept, bodyAtoms);",
-                f"displaceBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);",
-                "placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);",
-            ]
-        if call.kind == KICK_FROM_THERE:
-            return [f"kickBodyFrom(&body, record, {scalar}, kept, force, bodyAtoms THE_TEAM);"]
-        return []
-
-    @property
-    def energy(self) -> str:
-        return "kineticEnergyOfBody(&body, record, THE_BODY_TABLES)"
+    def _end(self, calls: Sequence[Call]) -> list[str]:
+        return [] if calls[-1].kind == DISPLACE else super()._end(calls)
 
 
 class LargeBodies(Bodies):
@@ -181,101 +215,73 @@ class LargeBodies(Bodies):
 class Points(Mover):
     """Atoms of a table `points` without constraints."""
 
-    def begin(self, calls: Sequence[Call]) -> list[str]:
-        lines = [
-            f"const int i = points[{self.first} + n];",
-            "const mixed w = velm[i].w;",
-            "mixed3 x = positionOf(THE_POSITIONS, i), v = velocityOf(velm, i);",
-        ]
-        if calls[0].kind == KICK_FROM_THERE:
-            lines.append("x = trim(kept[i]);")
-        return lines
-
-    def end(self, calls: Sequence[Call]) -> list[str]:
-        lines = ["putVelocity(velm, i, v);"]
-        if any(call.moves for call in calls):
-            lines.append("putPosition(THE_POSITIONS, i, x);")
-        return lines
-
-    def call(self, call: Call, noise: int) -> list[str]:
-        scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
-        if call.kind in (KICK, KICK_FROM_THERE):
-            return [f"v += ({scalar}*PER_UNIT*w)*forceOn(force, i);"]
-        if call.kind in DRIFTS:
-            return [f"x += {scalar}*v;"]
-        if call.kind == BATHE:
-            bath = f"scalars + {call.scalars[0]}"
-            return [f"v = bathVelocity(v, w, {bath}, random[randomIndex + {noise} + n]);", _keep_bathed("i", "v")]
-        if call.kind == DISPLACE:
-            return [
-                "kept[i] = make_mixed4(x.x, x.y, x.z, 0);",
-                f"x += ({scalar}*PER_UNIT*w)*forceOn(force, i);",
-            ]
-        return []
-
-    @property
-    def energy(self) -> str:
-        return "NUMBER(0.5)/w*dot(v, v)"
+    found = ("const int i = points[{first} + n];",)
+    read = (
+        "const mixed w = velm[i].w;",
+        "mixed3 x = positionOf(THE_POSITIONS, i), v = velocityOf(velm, i);",
+    )
+    moved = ("putVelocity(velm, i, v);",)
+    placed = ("putPosition(THE_POSITIONS, i, x);",)
+    atoms = _Atoms("", "i")
+    energy = "NUMBER(0.5)/w*dot(v, v)"
+    momentum = "(1/w)*v"
+    texts: ClassVar = {
+        KICK: ("v += ({scalar}*PER_UNIT*w)*forceOn(force, i);",),
+        **dict.fromkeys(DRIFTS, ("x += {scalar}*v;",)),
+        BATHE: (
+            "v = bathVelocity(v, w, {bath}, random[randomIndex + {noise} + n]);",
+            "keepVector(i, v, bathed);",
+        ),
+        DISPLACE: ("keepVector(i, x, kept);", "x += ({scalar}*PER_UNIT*w)*forceOn(force, i);"),
+        KICK_FROM_THERE: ("x = trim(kept[i]);", "v += ({scalar}*PER_UNIT*w)*forceOn(force, i);"),
+        DRAW: ("v += shiftOf(values);",),
+        START: ("v = factor*v;",),
+        CHANGE: ("v = values[0]*v + shiftOf(values);",),
+    }
 
 
 class Clusters(Mover):
     """Atoms with constraints to one other atom, of tables `clusters` and `clusterLengths`."""
 
     noise = MOST_IN_CLUSTER
+    found = (
+        f"GLOBAL const int* row = clusters + {MOST_IN_CLUSTER + 1}*({{first}} + n);",
+        f"GLOBAL const mixed* lengths = clusterLengths + {MOST_IN_CLUSTER}*({{first}} + n);",
+    )
+    read = ("Cluster c;", "readCluster(&c, row, lengths, THE_POSITIONS, velm);")
+    moved = ("writeVelocities(&c, velm);",)
+    placed = ("placeCluster(&c, THE_POSITIONS);",)
+    atoms = _Atoms("for (int k = 0; k < row[0]; k++) ", "row[k + 1]")
+    energy = "kineticEnergyOfCluster(&c)"
+    momentum = "momentumOfCluster(&c)"
+    texts: ClassVar = {
+        KICK: ("kickCluster(&c, {scalar}, force);",),
+        TO_BATH: ("driftClusterToBath(&c, {scalar});",),
+        FROM_BATH: ("driftClusterFromBath(&c, {scalar});",),
+        BATHE: (f"bathCluster(&c, {{bath}}, random + randomIndex + {{noise}} + {MOST_IN_CLUSTER}*n, bathed);",),
+        PROJECT: ("projectVectors(&c, c.x, c.v);",),
+        DISPLACE: ("displaceCluster(&c, {scalar}, force, kept);",),
+        KICK_FROM_THERE: ("kickClusterFrom(&c, {scalar}, kept, force);",),
+        DRAW: ("changeCluster(&c, 1, shiftOf(values));",),
+        START: ("changeCluster(&c, factor, make_mixed3(0, 0, 0));",),
+        CHANGE: ("changeCluster(&c, values[0], shiftOf(values));",),
+    }
 
-    def begin(self, calls: Sequence[Call]) -> list[str]:
-        place = f"({self.first} + n)"
-        tables = f"clusters + {MOST_IN_CLUSTER + 1}*{place}, clusterLengths + {MOST_IN_CLUSTER}*{place}"
-        return ["Cluster c;", f"readCluster(&c, {tables}, THE_POSITIONS, velm);"]
-
-    def end(self, calls: Sequence[Call]) -> list[str]:
-        lines = ["writeVelocities(&c, velm);"]
-        if any(call.moves for call in calls):
-            lines.append("placeCluster(&c, THE_POSITIONS);")
-        return lines
-
-    def call(self, call: Call, noise: int) -> list[str]:
-        scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
-        if call.kind == KICK:
-            return [f"kickCluster(&c, {scalar}, force);"]
+    def _call(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
         if call.kind == DRIFT:
             steps = call.scalars[1:] or call.scalars
             return [f"driftCluster(&c, scalars[{step}]);" for step in steps]
-        if call.kind == TO_BATH:
-            return [f"driftClusterToBath(&c, {scalar});"]
-        if call.kind == FROM_BATH:
-            return [f"driftClusterFromBath(&c, {scalar});"]
-        if call.kind == BATHE:
-            random = f"random[randomIndex + {noise} + {self.noise}*n + k]"
-            return [
-                "for (int k = 0; k < c.size; k++) {",
-                f"    c.v[k] = bathVelocity(c.v[k], c.w[k], scalars + {call.scalars[0]}, {random});",
-                f"    {_keep_bathed('c.atoms[k]', 'c.v[k]')}",
-                "}",
-            ]
-        if call.kind in (PROJECT, MAKE_RIGID):
-            return ["projectVectors(&c, c.x, c.v);"]
-        if call.kind == DISPLACE:
-            return [f"displaceCluster(&c, {scalar}, force, kept);"]
-        return [f"kickClusterFrom(&c, {scalar}, kept, force);"]
+        return super()._call(call, noise, kinds)
 
-    def counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
-        """See `Mover.counted`; energies are those of velocities without parts along the constraints."""
-        lines, project = self.call(call, noise), self.call(Call(PROJECT), noise)
+    def _counted(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
+        """Return the lines of a call; energies are those of velocities without parts along the constraints."""
+        lines, project = self._call(call, noise, kinds), self._call(Call(PROJECT), noise, kinds)
+        divides_drift = TO_BATH in kinds
         if divides_drift and call.kind == TO_BATH:
             # It projects first, and velocities do not change after that.
-            return [*lines, *self.count("-")]
+            return [*lines, *self._count("-")]
         if divides_drift and call.kind == FROM_BATH:
-            return [*lines, *project, *self.count("+")]
+            return [*lines, *project, *self._count("+")]
         if call.kind == BATHE and not divides_drift:
-            return [*project, *self.count("-"), *lines, *project, *self.count("+")]
+            return [*project, *self._count("-"), *lines, *project, *self._count("+")]
         return lines
-
-    @property
-    def energy(self) -> str:
-        return "kineticEnergyOfCluster(&c)"
-
-
-def _keep_bathed(atom: str, velocity: str) -> str:
-    """Return a line that keeps the velocity just after a bath."""
-    return f"bathed[{atom}] = make_mixed4({velocity}.x, {velocity}.y, {velocity}.z, 0);"

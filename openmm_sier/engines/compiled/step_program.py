@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 #: Kinds of command: OpenMM's own updates, forces of some groups, these and their energy, the launch of a kernel,
-#: virtual sites, and another order of the atoms in memory.
+#: virtual sites, another order of the atoms in memory, and forces of some groups that a kernel has brought back.
 UPDATE, FORCES, FORCES_AND_ENERGY = "update", "forces", "forces and energy"
-LAUNCH, SITES, REORDER = "launch", "sites", "reorder"
+LAUNCH, SITES, REORDER, RESTORED = "launch", "sites", "reorder", "restored"
 
 
 class Kernel(NamedTuple):
@@ -37,7 +37,7 @@ class Command(NamedTuple):
 
     Attributes:
         kind: one of the kinds above.
-        number: bit mask of force groups, or number of a kernel.
+        number: bit mask of force groups, number of a kernel, or of steps since atoms could get another order.
     """
 
     kind: str

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics.plan import Operation
-from openmm_sier.engines.compiled.engine import KernelsEngine
-from openmm_sier.engines.compiled.kernel_text import (
-    CHANGE,
-    DRAW,
-    GO_BACK,
-    KEEP,
-    N_SUMS,
-    SUM_MOTION,
-    SUMS,
-    TRIAL_KERNELS,
-    VALUES,
+from openmm_sier.engines.compiled.engine import KernelsEngine, Motion
+from openmm_sier.engines.compiled.kernel_text import END_SUMS, START_SUMS, VALUES
+from openmm_sier.engines.compiled.trial_blocks import (
+    BETWEEN,
+    CHANGED,
+    DRAWN,
+    ENDED,
+    ENERGY,
+    GONE_BACK,
+    GONE_ON,
+    STARTED,
 )
 from openmm_sier.engines.native.trial_engine import TrialEngine
 from openmm_sier.engines.native.trial_variables import INFINITE, Numbers
@@ -36,22 +36,15 @@ from openmm_sier.engines.trials import (
     WhileItGoesOn,
 )
 
-#: Blocks of a program: a step, the last step of a trajectory, and the energy; kernels of trials follow.
-STEP, LAST_STEP, ENERGY, *_ = range(3)
-BLOCKS = {name: number for number, name in enumerate(TRIAL_KERNELS, 3)}
-
-
-class Motion(NamedTuple):
-    """Kinetic energy, kJ/mol, and momentum, (3,), of all atoms."""
-
-    kinetic: float
-    momentum: np.ndarray
-
 
 class KernelTrialEngine(KernelsEngine, TrialEngine):
-    """An engine whose trials are blocks of commands: the host decides, and no atom is read or written."""
+    """An engine whose trials are blocks of commands: the host decides, and no atom is read or written.
+
+    The start comes back with its forces.
+    """
 
     makes_trials = True
+    keeps_force = True
 
     #: Potential energy of the sample; None where it is not known.
     _sample_energy: float | None = None
@@ -82,32 +75,46 @@ class KernelTrialEngine(KernelsEngine, TrialEngine):
         if not self.has_start:
             # Nothing has moved.
             return
-        self.run(BLOCKS[GO_BACK], are_forces_known=False)
+        self.run(GONE_BACK, are_forces_known=False)
         if not reverse:
-            self.write(-1.0)
-            self.run(BLOCKS[CHANGE])
+            self.change_velocities(-1.0, np.zeros(3))
         self._velocities_changed()
 
     @property
     def has_last_energy(self) -> bool:
-        """Return whether the last step gives the energy of its end."""
+        """Return whether the end of a trajectory comes with its energy."""
         return self._step.has_last_energy
 
     # --- blocks ---
 
-    def run(self, block: int, times: int = 1, are_forces_known: bool = True) -> float:
-        """Execute a block of commands, and return the energy that it asks for, see `Library.run`."""
-        return float(self._library.run(self._address, block, times, are_forces_known))
+    def change_velocities(self, factor: float, shift: np.ndarray) -> None:
+        """Multiply velocities by a factor, and add a velocity, (3,), nm/ps."""
+        self._write(factor, 0.0, shift, 0.0)
+        self.run(CHANGED)
 
-    def write(self, factor: float, width: float = 0.0, shift: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> None:
-        """Set the values of the kernels that change velocities."""
-        self._library.write_numbers(self._address, VALUES, [factor, width, *shift])
+    def begin_trial(self, trial: Trial) -> None:
+        """Write the numbers of a trial, and set its sums to zero."""
+        kept = trial.kept if trial.kinetic_energy else 1.0
+        self._write(kept, math.sqrt((1 - kept**2) * trial.kT), trial.centre, trial.kinetic_energy)
+        self._library.clear_totals(self._address, START_SUMS)
+        self._library.clear_totals(self._address, END_SUMS)
 
-    def motion(self) -> Motion:
-        """Return kinetic energy and momentum."""
-        self.run(BLOCKS[SUM_MOTION])
-        sums = self._library.read_numbers(self._address, SUMS, N_SUMS)
-        return Motion(float(sums[0]), sums[1:])
+    def _write(self, factor: float, width: float, shift: np.ndarray, kinetic_energy: float) -> None:
+        """Write the values of kernels, see `trials.cc`."""
+        self._library.write_numbers(self._address, VALUES, [factor, width, factor, width, *shift, kinetic_energy])
+
+    def go_on(self) -> None:
+        """Begin another part of a trajectory where it is."""
+        self._library.clear_totals(self._address, END_SUMS)
+        self.run(GONE_ON)
+
+    def end(self) -> Motion:
+        """Return the motion at the end of the trajectory."""
+        return self._motion(END_SUMS)
+
+    def drawn(self) -> Motion:
+        """Return the motion that was drawn for a trial, before it was scaled to the kinetic energy of the start."""
+        return self._motion(START_SUMS)
 
 
 class DeviceTrajectory:
@@ -129,9 +136,8 @@ class DeviceTrajectory:
         self._trial = trial
         self._has_force = has_force
         self.potential = potential
-        self._start_potential = math.nan
-        self._start = Motion(0.0, np.zeros(3))
-        self._end = self._start
+        self._start_potential = self._start_kinetic = math.nan
+        self._end = Motion(0.0, np.zeros(3))
         self._end_potential = math.nan
         self._errors: list[float] = []
         self._is_accepted = False
@@ -145,31 +151,23 @@ class DeviceTrajectory:
 
     def numbers(self) -> Numbers:
         """Return what the trial leaves."""
-        motion = self._end if self._is_accepted else self._start
-        kinetic = motion.kinetic - self._stopped
+        kinetic = (self._end.kinetic if self._is_accepted else self._start_kinetic) - self._stopped
         first_error = self._errors[0]
         return Numbers(self._start_potential, first_error, self._is_accepted, len(self._errors), kinetic, self._stopped)
 
     def _draw(self, operation: Draw) -> None:
+        """Draw momenta; without an energy that they are to have, sum the one that there is."""
         engine, trial = self._engine, self._trial
-        if trial.kinetic_energy:
-            engine.write(trial.kept, math.sqrt((1 - trial.kept**2) * trial.kT), trial.centre)
-            engine.run(BLOCKS[DRAW], are_forces_known=self._has_force)
-            drawn = engine.motion()
-            factor = math.sqrt(trial.kinetic_energy / drawn.kinetic)
-            engine.write(factor)
-            engine.run(BLOCKS[CHANGE])
-            self._start = Motion(trial.kinetic_energy, factor * drawn.momentum)
-        else:
-            self._start = engine.motion()
+        engine.begin_trial(trial)
+        engine.run(DRAWN, are_forces_known=self._has_force)
+        self._start_kinetic = trial.kinetic_energy or engine.drawn().kinetic
 
     def _keep(self, operation: Keep) -> None:
+        """See that the energy of the start is known; the first launch of the trajectory keeps it."""
         engine = self._engine
         if self.potential is None:
             self.potential = engine.run(ENERGY, are_forces_known=False)
         self._start_potential = self.potential
-        engine.run(BLOCKS[KEEP], are_forces_known=self._has_force)
-        engine.has_start = True
 
     def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
         while self._goes_on:
@@ -177,12 +175,17 @@ class DeviceTrajectory:
 
     def _follow(self, operation: Follow) -> None:
         engine, trial = self._engine, self._trial
-        engine.run(STEP, trial.steps - 1)
-        self._end_potential = engine.run(LAST_STEP)
+        if self._errors:
+            engine.go_on()
+        else:
+            engine.has_start = True
+            engine.run(STARTED)
+        engine.run(BETWEEN, trial.steps - 1)
+        self._end_potential = engine.run(ENDED)
         if not engine.has_last_energy:
             self._end_potential = engine.run(ENERGY)
-        self._end = engine.motion()
-        gained = self._end_potential + self._end.kinetic - self._start_potential - self._start.kinetic
+        self._end = engine.end()
+        gained = self._end_potential + self._end.kinetic - self._start_potential - self._start_kinetic
         self._errors.append(gained / trial.kT)
 
     def _decide(self, operation: Decide) -> None:
@@ -196,18 +199,22 @@ class DeviceTrajectory:
         if self._is_accepted:
             self.potential = self._end_potential
         else:
-            self._engine.run(BLOCKS[GO_BACK])
+            self._engine.run(GONE_BACK)
 
     def _stop_centre(self, operation: StopCentre) -> None:
         engine = self._engine
         if not (engine.removes_momentum and self._trial.kinetic_energy):
             return
-        momentum = self._end.momentum if self._is_accepted else -self._start.momentum
+        momentum = self._end.momentum if self._is_accepted else self._momentum_back()
         mass = engine.moving.moving_mass
         velocity = momentum / mass
-        engine.write(1.0, 0.0, -velocity)
-        engine.run(BLOCKS[CHANGE])
+        engine.change_velocities(1.0, -velocity)
         self._stopped = 0.5 * float(mass @ velocity**2)
+
+    def _momentum_back(self) -> np.ndarray:
+        """Return the momentum of the start that came back with reversed velocities."""
+        drawn = self._engine.drawn()
+        return -math.sqrt(self._start_kinetic / drawn.kinetic) * drawn.momentum
 
 
 #: Functions that execute an operation of a trial, by its class.

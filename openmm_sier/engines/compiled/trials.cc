@@ -1,64 +1,65 @@
-// Kernels of trials of hybrid Monte Carlo, which leave everything but numbers on the device.
+// Trials of hybrid Monte Carlo, which leave everything but numbers on the device. See `motion.cc`.
+//
+// `values` are those of a bath that draws velocities, four numbers of which the first is a factor of velocities, too; a
+// velocity that is added to all, three; and the kinetic energy of the start, or 0 to leave it as it is.
 
-// Draw velocities: `values` are the factor of the old ones, the width of noise at unit mass, and a velocity that is
-// added to the old ones first.
-KERNEL void sierDraw(PARAMETERS) {
-    for (int i = GLOBAL_ID; i < NUM_PARTICLES; i += GLOBAL_SIZE) {
-        const mixed w = velm[i].w;
-        const float4 g = random[randomIndex + i];
-        const mixed3 old = velocityOf(velm, i) + make_mixed3(values[2], values[3], values[4]);
-        if (w > 0)
-            putVelocity(velm, i, values[0]*old + (values[1]*sqrt(w))*make_mixed3(g.x, g.y, g.z));
+// Sums have SUM_SLOTS slots, so that few threads wait for each other. Each has SUM_SIZE numbers: the kinetic energy and the
+// momentum along three axes in units of 1/SUM_UNITS, and the number of movers whose energy is not below MOST_ENERGY.
+
+#define START GLOBAL mixed4* RESTRICT startX, GLOBAL mixed4* RESTRICT startV, GLOBAL mm_long* RESTRICT startF
+#define THE_START startX, startV, startF
+
+DEVICE void addToSums(GLOBAL mm_ulong* RESTRICT sums, mixed energy, mixed3 momentum) {
+    GLOBAL mm_ulong* slot = sums + SUM_SIZE*((GROUP_ID + LOCAL_ID) % SUM_SLOTS);
+    // A comparison with NaN is false.
+    if (energy < MOST_ENERGY) {
+        ATOMIC_ADD(&slot[0], (mm_ulong) (mm_long) (energy*SUM_UNITS));
+        ATOMIC_ADD(&slot[1], (mm_ulong) (mm_long) (momentum.x*SUM_UNITS));
+        ATOMIC_ADD(&slot[2], (mm_ulong) (mm_long) (momentum.y*SUM_UNITS));
+        ATOMIC_ADD(&slot[3], (mm_ulong) (mm_long) (momentum.z*SUM_UNITS));
     }
+    else
+        ATOMIC_ADD(&slot[4], (mm_ulong) 1);
 }
 
-// Multiply velocities by a factor, and add a velocity.
-KERNEL void sierChange(PARAMETERS) {
-    for (int i = GLOBAL_ID; i < NUM_PARTICLES; i += GLOBAL_SIZE)
-        if (velm[i].w > 0)
-            putVelocity(velm, i, values[0]*velocityOf(velm, i) + make_mixed3(values[2], values[3], values[4]));
+// Return the factor of drawn velocities, by their kinetic energy; NaN where one was left out of it.
+DEVICE mixed factorOfStart(GLOBAL const mixed* RESTRICT values, GLOBAL const mm_ulong* RESTRICT sums) {
+    if (values[7] == 0)
+        return 1;
+    mm_ulong drawn = 0, excluded = 0;
+    for (int slot = 0; slot < SUM_SLOTS; slot++) {
+        drawn += sums[SUM_SIZE*slot];
+        excluded += sums[SUM_SIZE*slot + 4];
+    }
+    return excluded > 0 ? sqrt((mixed) -1) : sqrt(values[7]*SUM_UNITS/(mixed) (mm_long) drawn);
 }
 
-KERNEL void sierKeep(PARAMETERS) {
-    for (int i = GLOBAL_ID; i < NUM_PARTICLES; i += GLOBAL_SIZE) {
-        const mixed3 x = positionOf(THE_POSITIONS, i);
-        startX[i] = make_mixed4(x.x, x.y, x.z, 0);
-        startV[i] = velm[i];
-    }
+DEVICE mixed3 shiftOf(GLOBAL const mixed* RESTRICT values) {
+    return make_mixed3(values[4], values[5], values[6]);
 }
 
-// Restore the start with reversed velocities.
-KERNEL void sierGoBack(PARAMETERS) {
-    for (int i = GLOBAL_ID; i < NUM_PARTICLES; i += GLOBAL_SIZE) {
-        putPosition(THE_POSITIONS, i, trim(startX[i]));
-        putVelocity(velm, i, (mixed) -1*trim(startV[i]));
-    }
+DEVICE void shiftBody(Body* body, int4 record, GLOBAL const mixed* RESTRICT values, BODY_TABLES) {
+    body->p += (1/kinds[6*record.w].w)*shiftOf(values);
 }
 
-// Sum the kinetic energy and the momentum of all atoms, by one block of threads.
-KERNEL void sierSumMotion(PARAMETERS) {
-    LOCAL mixed parts[4*SUM_TEAM];
-    mixed energy = 0;
-    mixed3 momentum = make_mixed3(0, 0, 0);
-    for (int i = LOCAL_ID; i < NUM_PARTICLES; i += LOCAL_SIZE) {
-        const mixed w = velm[i].w;
-        if (w > 0) {
-            const mixed3 v = velocityOf(velm, i);
-            energy += NUMBER(0.5)/w*dot(v, v);
-            momentum += (1/w)*v;
-        }
-    }
-    parts[4*LOCAL_ID] = energy;
-    parts[4*LOCAL_ID + 1] = momentum.x;
-    parts[4*LOCAL_ID + 2] = momentum.y;
-    parts[4*LOCAL_ID + 3] = momentum.z;
-    SYNC_THREADS;
-    for (int span = LOCAL_SIZE/2; span > 0; span /= 2) {
-        if (LOCAL_ID < span)
-            for (int k = 0; k < 4; k++)
-                parts[4*LOCAL_ID + k] += parts[4*(LOCAL_ID + span) + k];
-        SYNC_THREADS;
-    }
-    if (LOCAL_ID < 4)
-        sums[LOCAL_ID] = parts[LOCAL_ID];
+DEVICE void scaleBody(Body* body, mixed factor) {
+    body->p = factor*body->p;
+    body->L = factor*body->L;
+}
+
+// Keep an atom of the start, whose velocity was not multiplied by its factor yet.
+DEVICE void keepStart(int i, POSITIONS, GLOBAL const mixed4* RESTRICT velm, GLOBAL const mm_long* RESTRICT force,
+                      mixed factor, START) {
+    keepVector(i, positionOf(THE_POSITIONS, i), startX);
+    keepVector(i, factor*velocityOf(velm, i), startV);
+    for (int x = 0; x < 3; x++)
+        startF[i + x*NUM_PARTICLES] = force[i + x*PADDED_NUM_ATOMS];
+}
+
+// Restore an atom of the start, with reversed velocity.
+DEVICE void goBack(int i, POSITIONS, GLOBAL mixed4* RESTRICT velm, GLOBAL mm_long* RESTRICT force, START) {
+    putPosition(THE_POSITIONS, i, trim(startX[i]));
+    putVelocity(velm, i, (mixed) -1*trim(startV[i]));
+    for (int x = 0; x < 3; x++)
+        force[i + x*PADDED_NUM_ATOMS] = startF[i + x*NUM_PARTICLES];
 }

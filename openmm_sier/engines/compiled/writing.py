@@ -1,39 +1,40 @@
-"""Write a step as commands and calls: the third table from the operations of a plan.
+"""Write steps as parts of calls: the third table from the operations of a plan.
 
-Forces are computed between launches. Everything that movers do between two forces is one launch. Movers on which no
-fast force acts have no inner steps, and do all that comes between two slow forces in the first launch.
+Forces are computed between launches. Everything that movers do between two forces is one launch. Kicks at the same
+positions commute, so that each force is computed once where the last kick of a drift by inner steps and the first one
+of the next have slow forces between them. Movers on which no fast force acts have no inner steps, and do all that comes
+between two slow forces in the first launch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.plan import (
     FAST,
+    SLOW,
     Bath,
     Drift,
     Energy,
     Inner,
     Kick,
     Operation,
+    Plan,
     Project,
     UpdateContext,
     expanded,
 )
 from openmm_sier.dynamics.stages import DRIFT_FROM_BATH, DRIFT_TO_BATH
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, decay
+from openmm_sier.engines.compiled import step_program
 from openmm_sier.engines.compiled.movers import (
     BATHE,
     COUNT_AFTER,
     COUNT_BEFORE,
     DISPLACE,
     DRIFT,
+    DRIFTS,
     FROM_BATH,
     KICK,
     KICK_FROM_THERE,
@@ -41,99 +42,63 @@ from openmm_sier.engines.compiled.movers import (
     TO_BATH,
     Call,
 )
+from openmm_sier.engines.compiled.scalars import BathTime, Scalars, Time
 
-#: What an epoch begins with: nothing, OpenMM's own updates, the slow forces, or these and all energies.
-NOTHING, UPDATES, FORCES, ENERGY = "nothing", "updates", "forces", "energy"
+#: What a part begins with besides slow or fast forces where the atoms are: nothing, or a command that needs no kernel.
+NOTHING, UPDATES, REORDER, RESTORED = "nothing", step_program.UPDATE, step_program.REORDER, step_program.RESTORED
+
+#: Calls of which those beside each other may change places with kicks by forces at the same positions.
+COMMUTING = KICK, PROJECT, DISPLACE, KICK_FROM_THERE
 
 
-@dataclass(frozen=True)
-class Epoch:
-    """What happens until the slow forces are needed at other positions.
+@dataclass
+class Part:
+    """What is done in one launch.
 
     Attributes:
-        begins_with: one of the above.
-        others: calls of movers without fast forces.
-        parts: calls of members, with other fast forces before each part but the first.
+        begins_with: `SLOW`, `FAST`, or one of the above.
+        members: calls of movers on which fast forces act.
+        others: calls of all other movers; none after fast forces.
+        wants_energy: whether the energy of its forces is wanted, too.
     """
 
     begins_with: str
+    members: list[Call] = field(default_factory=list)
     others: list[Call] = field(default_factory=list)
-    parts: list[list[Call]] = field(default_factory=lambda: [[]])
+    wants_energy: bool = False
 
     @property
     def moves(self) -> bool:
         """Return whether it changes positions."""
-        return any(call.moves for calls in (self.others, *self.parts) for call in calls)
+        return any(call.moves for call in (*self.members, *self.others))
+
+    @property
+    def drifts(self) -> bool:
+        """Return whether it changes positions for good."""
+        return any(call.kind in DRIFTS for call in (*self.members, *self.others))
 
 
-@dataclass(frozen=True)
-class Time:
-    """A scalar: a factor times a power of the step."""
-
-    factor: float
-    power: int = 1
-
-    size = 1
-
-    def values(self, step: float, bath: OrnsteinUhlenbeck | None) -> list[float]:
-        return [self.factor * step**self.power]
-
-
-@dataclass(frozen=True)
-class BathTime:
-    """Scalars of a bath: factor of momenta and width of their noise, and those of angular momenta.
-
-    Attributes:
-        fraction: its time as a fraction of the step.
-    """
-
-    fraction: float
-
-    size = 4
-
-    def values(self, step: float, bath: OrnsteinUhlenbeck | None) -> list[float]:
-        frictions = None if bath is None else bath.shared_frictions
-        if bath is None or frictions is None:
-            return [1.0, 0.0, 1.0, 0.0]
-        root = np.sqrt(GAS_CONSTANT * bath.temperature)
-        damping, width = decay(frictions[0], self.fraction * step)
-        rotational_damping, rotational_width = decay(frictions[1], self.fraction * step)
-        return [damping, root * width, rotational_damping, root * rotational_width]
-
-
-class Scalars:
-    """The numbers of kernels that depend on settings."""
-
-    def __init__(self) -> None:
-        self._places: dict[Time | BathTime, int] = {}
-        self._size = 0
-
-    def place(self, scalar: Time | BathTime) -> int:
-        """Return the place of a scalar, or of the first of several, which is added unless it is there."""
-        if scalar not in self._places:
-            self._places[scalar] = self._size
-            self._size += scalar.size
-        return self._places[scalar]
-
-    def values(self, method: IntegrationMethod) -> np.ndarray:
-        """Return all values for the settings of a method; there is at least one."""
-        values = [value for scalar in self._places for value in scalar.values(method.step, method.bath)]
-        return np.array(values or [0.0])
-
-
-@dataclass(frozen=True)
 class StepWriter:
-    """Writer of the epochs of a step.
+    """Writer of the parts of steps.
 
     Attributes:
-        counts_heat: whether the heat of OpenMM's own updates is counted.
-        epochs: so far.
+        parts: so far.
         scalars: of all calls.
     """
 
-    counts_heat: bool
-    epochs: list[Epoch] = field(default_factory=lambda: [Epoch(NOTHING)])
-    scalars: Scalars = field(default_factory=Scalars)
+    def __init__(self, counts_heat: bool, has_fast: bool, scalars: Scalars) -> None:
+        """
+        Args:
+            counts_heat: whether the heat of OpenMM's own updates is counted.
+            has_fast: whether there are fast forces.
+            scalars: to which those of all calls are added.
+        """
+        self.parts = [Part(NOTHING)]
+        self.scalars = scalars
+        self._counts_heat = counts_heat
+        self._has_fast = has_fast
+        #: Parts that begin with the forces at the present positions, by these. Kicks are added to them.
+        self._known: dict[str, Part] = {}
 
     def write(self, operations: Iterable[Operation], unit: float = 1.0, members_only: bool = False) -> None:
         """Write operations.
@@ -153,54 +118,67 @@ class StepWriter:
 
     # --- where calls belong ---
 
+    def _begin(self, what: str) -> Part:
+        part = Part(what)
+        self.parts.append(part)
+        if what == UPDATES:
+            self._known = {}
+        return part
+
+    def _with_forces(self, forces: str) -> Part:
+        """Return the part that begins with forces at the present positions."""
+        if forces not in self._known:
+            self._known[forces] = self._begin(forces)
+        return self._known[forces]
+
     def _add(self, kind: str, scalars: tuple[int, ...] = (), members_only: bool = False) -> None:
-        epoch, call = self.epochs[-1], Call(kind, scalars)
-        epoch.parts[-1].append(call)
+        """Add a call after all others."""
+        call = Call(kind, scalars)
+        self.parts[-1].members.append(call)
         if not members_only:
-            epoch.others.append(call)
+            self._last_of_others.others.append(call)
+        if kind in DRIFTS:
+            self._known = {}
+        elif kind not in COMMUTING:
+            self._known = {forces: part for forces, part in self._known.items() if part is self.parts[-1]}
 
-    def _begin(self, what: str) -> None:
-        self.epochs.append(Epoch(what))
-
-    def _have_slow_forces(self) -> bool:
-        """Return whether the slow forces of the present positions are at hand."""
-        epoch = self.epochs[-1]
-        return epoch.begins_with in (FORCES, ENERGY) and not epoch.moves and len(epoch.parts) == 1
-
-    def _have_fast_forces(self) -> bool:
-        """Return whether the fast forces of the present positions are at hand."""
-        parts = self.epochs[-1].parts
-        return len(parts) > 1 and not any(call.moves for call in parts[-1])
+    @property
+    def _last_of_others(self) -> Part:
+        return next(part for part in reversed(self.parts) if part.begins_with != FAST)
 
     # --- operations ---
 
     def _update(self, operation: UpdateContext, unit: float, members_only: bool) -> None:
-        if self.counts_heat:
+        if self._counts_heat:
             self._add(COUNT_BEFORE)
         self._begin(UPDATES)
-        if self.counts_heat:
+        if self._counts_heat:
             self._add(COUNT_AFTER)
 
-    def _need_forces(self, operation: Kick) -> None:
-        """Let the forces of a kick be computed where the last ones are not these."""
-        if operation.forces == FAST:
-            if not self._have_fast_forces():
-                self.epochs[-1].parts.append([])
-        elif not self._have_slow_forces():
-            self._begin(FORCES)
-
     def _energy(self, operation: Energy, unit: float, members_only: bool) -> None:
-        self._begin(ENERGY)
+        if self._has_fast:
+            self._with_forces(FAST).wants_energy = True
+        self._known[SLOW] = self._begin(SLOW)
+        self._known[SLOW].wants_energy = True
 
     def _kick(self, operation: Kick, unit: float, members_only: bool) -> None:
-        self._need_forces(operation)
         time = self.scalars.place(Time(operation.fraction * unit))
-        if not operation.shift:
-            self._add(KICK, (time,), members_only)
+        if operation.shift:
+            self._kick_from_there(operation, time, unit, members_only)
             return
+        part, call = self._with_forces(operation.forces), Call(KICK, (time,))
+        part.members.append(call)
+        if not members_only:
+            part.others.append(call)
+
+    def _kick_from_there(self, operation: Kick, time: int, unit: float, members_only: bool) -> None:
+        """Add a gradient kick, after which positions are those of before."""
+        if self._with_forces(operation.forces) is not self.parts[-1]:
+            self._begin(operation.forces)
         shift = self.scalars.place(Time(operation.shift * unit**2, power=2))
         self._add(DISPLACE, (shift,), members_only)
-        self._need_forces(operation)
+        del self._known[operation.forces]
+        self._begin(operation.forces)
         self._add(KICK_FROM_THERE, (time,), members_only)
 
     def _drift(self, operation: Drift, unit: float, members_only: bool) -> None:
@@ -211,7 +189,7 @@ class StepWriter:
         self._add(kind, tuple(self.scalars.place(Time(time)) for time in times), members_only)
 
     def _inner(self, operation: Inner, unit: float, members_only: bool) -> None:
-        self.epochs[-1].others.append(Call(DRIFT, (self.scalars.place(Time(operation.fraction)),)))
+        self._last_of_others.others.append(Call(DRIFT, (self.scalars.place(Time(operation.fraction)),)))
         self.write(operation.operations, operation.whole / operation.number, members_only=True)
 
     def _bathe(self, operation: Bath, unit: float, members_only: bool) -> None:
@@ -231,3 +209,45 @@ CALLS: dict[type[Operation], Callable[[StepWriter, Any, float, bool], None]] = {
     Project: StepWriter._project,
     Energy: StepWriter._energy,
 }
+
+
+class Trajectory(NamedTuple):
+    """Parts of a trajectory of n steps.
+
+    Attributes:
+        first: until the last forces of the first step.
+        between: from there to the last forces of the next step, n - 1 times.
+        last: the rest, with the energy of the end if its forces are those.
+    """
+
+    first: list[Part]
+    between: list[Part]
+    last: list[Part]
+
+
+def written_trajectory(plan: Plan, has_fast: bool, scalars: Scalars) -> Trajectory:
+    """Return the parts of trajectories of steps, in which the end of a step and the beginning of the next are one.
+
+    Args:
+        plan: a step.
+        has_fast: whether there are fast forces.
+        scalars: to which those of all calls are added.
+    """
+
+    def written(*plans: Plan) -> list[Part]:
+        writer = StepWriter(False, has_fast, scalars)
+        for each in plans:
+            writer.write(each.operations)
+        return writer.parts
+
+    one, two, with_energy = written(plan), written(plan, plan), written(plan, plan.with_energy())
+    start = len(one) - _ending(one)
+    period = len(two) - len(one)
+    first = one[:start] if one[0].members or one[0].others or start < 2 else one[1:start]
+    return Trajectory(first, two[start : start + period], with_energy[-_ending(with_energy) :])
+
+
+def _ending(parts: Sequence[Part]) -> int:
+    """Return the number of parts after the last drift, at least one, to which the next step adds kicks."""
+    last = max((number for number, part in enumerate(parts) if part.drifts), default=-1)
+    return max(1, len(parts) - 1 - last)

@@ -29,6 +29,9 @@ class TrialEngine(NativeEngine):
 
     makes_trials = True
 
+    #: Whether the start of a rejected trial comes back with its forces.
+    keeps_force = False
+
     def __init__(
         self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None, program: Program
     ) -> None:
@@ -109,7 +112,7 @@ class TrialEngine(NativeEngine):
             if has_nan:
                 raise TrajectoryError(str(error)) from error
             raise
-        self._has_force = numbers.is_accepted
+        self._has_force = numbers.is_accepted or self.keeps_force
         self.evaluations += numbers.ends * trial.steps * scheme.force_evaluations
         if self._has_sites and not numbers.is_accepted:
             self._context.computeVirtualSites()
