@@ -1,6 +1,6 @@
 """Tries ever new examples of the laws.
 
-    python -m tests.laws [--minutes 60] [--law order …] [--platform CPU] [--seed 1] [--examples 50]
+    python -m tests.laws [--minutes 60] [--law order …] [--platform CPU] [--engine kernels] [--seed 1] [--examples 50]
 
 Laws are tried by turns, with a new seed in each round. A law that does not hold is printed with its smallest case, as
 Python that makes it again, and with the command that finds it again. It is left out from then on; the status is 1.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import subprocess
 import sys
 import time
 import warnings
@@ -56,6 +57,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=60.0, help="no new round begins after this time")
     parser.add_argument("--law", nargs="+", choices=LAWS, default=list(LAWS), help="names of laws")
     parser.add_argument("--platform", default="Reference", help="name of the platform")
+    parser.add_argument("--engine", help="of all examples; those that laws draw unless given")
     parser.add_argument("--seed", type=int, help="of one round, which is then the only one")
     parser.add_argument("--examples", type=int, default=50, help="number of examples of each law in a round")
     return parser.parse_args()
@@ -65,7 +67,8 @@ def main() -> int:
     asked = arguments()
     if asked.platform == "OpenCL" and opencl.environment() != dict(os.environ):
         # OpenMM looks for its runtime when Python starts.
-        os.execve(sys.executable, [sys.executable, "-m", "tests.laws", *sys.argv[1:]], opencl.environment())
+        command = [sys.executable, "-m", "tests.laws", *sys.argv[1:]]
+        return subprocess.run(command, env=opencl.environment(), check=False).returncode
     warnings.simplefilter("ignore")
     end, tried = time.monotonic() + 60 * asked.minutes, dict.fromkeys(asked.law, 0)
     broken: set[str] = set()
@@ -73,9 +76,10 @@ def main() -> int:
         seed = random.SystemRandom().randrange(2**32) if asked.seed is None else asked.seed
         for name in tried.keys() - broken:
             try:
-                LAWS[name].hold(asked.examples, asked.platform, seed)
+                LAWS[name].hold(asked.examples, asked.platform, seed, asked.engine)
             except Broken as fault:
-                options = f"--platform {asked.platform} --seed {seed} --examples {asked.examples}"
+                place = f"--platform {asked.platform}" + f" --engine {asked.engine}" * bool(asked.engine)
+                options = f"{place} --seed {seed} --examples {asked.examples}"
                 print(f"\n{fault}\n    python -m tests.laws --law {name} {options}", flush=True)
                 broken.add(name)
             tried[name] += asked.examples

@@ -22,7 +22,7 @@ class Method:
 
     Attributes:
         kind: name of its class.
-        engine: "exact" or "native".
+        engine: "exact", "native" or "kernels", which need a platform for GPUs.
         arguments: names and values of the other arguments of the constructor, sorted.
     """
 
@@ -42,7 +42,7 @@ class Method:
     @property
     def draws_from_openmm(self):
         """Whether OpenMM draws random numbers within steps."""
-        return self.engine == "native" and self.kind in ("SIERLangevinIntegrator", "SIERHMCIntegrator")
+        return self.engine != "exact" and self.kind in ("SIERLangevinIntegrator", "SIERHMCIntegrator")
 
     def get(self, name):
         return dict(self.arguments).get(name)
@@ -56,7 +56,9 @@ class Method:
     def alternatives(self):
         """Yield this method and simpler ones, for Systems that refuse it."""
         constant = self.having(pressure=None, barostatInterval=None)
-        yield from dict.fromkeys((self, constant, dataclasses.replace(constant, engine="exact")))
+        # What kernels refuse says nothing about them.
+        others = () if self.engine == "kernels" else (dataclasses.replace(constant, engine="exact"),)
+        yield from dict.fromkeys((self, constant, *others))
 
     def make(self, bodies=None, before=()):
         """Return the integrator, after calls of setters, which have a name and a value."""

@@ -124,9 +124,9 @@ def mixtures_without_vibrations(named: bool = True) -> st.SearchStrategy[Mixture
 
 @st.composite
 def moved(draw: st.DrawFn, ways: st.SearchStrategy[Method]) -> tuple[Mixture, Method]:
-    """Draw a method of some, and a mixture that its engine moves: only the exact one moves named bodies."""
+    """Draw a method of some, and a mixture that its engine moves: the native one moves no named bodies."""
     method = draw(ways)
-    return draw(mixtures(named=method.engine == "exact")), method
+    return draw(mixtures(named=method.engine != "native")), method
 
 
 def _moves(drawn: tuple[Molecule, ...]) -> bool:

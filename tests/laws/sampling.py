@@ -20,6 +20,7 @@ from tests.laws.linear_maps import Oscillator, in_bath, pushed
 from tests.laws.mechanics import centre_of, masses_of
 from tests.support.seeded import seeded
 from tests.support.waters import platform as platform_of
+from tests.support.waters import properties_of
 
 #: Averages of kinds that depend on the motion of the centre of mass.
 WITH_CENTRE = ("translation", "translation^2", "p^2", "qp", "kinetic", "kinetic^2")
@@ -224,7 +225,7 @@ class Series:
         positions = np.concatenate(assembly.positions)
         if assembly.types:
             options["bodies"] = RigidBodies.from_types(assembly.system, assembly.types, positions)
-        elif method.engine == "exact":
+        elif method.engine != "native":
             options["bodies"] = RigidBodies.from_system(assembly.system, None, assembly.bodies, positions)
         if self._is_stopped:
             assembly.system.addForce(openmm.CMMotionRemover(1))
@@ -241,7 +242,9 @@ class Series:
         return seeded(method.integrator(**options), seed + 1)
 
     def _make_context(self, seed: int, platform: str) -> openmm.Context:
-        context = openmm.Context(self._assembly.system, self._integrator, platform_of(platform))
+        context = openmm.Context(
+            self._assembly.system, self._integrator, platform_of(platform), properties_of(platform, "mixed")
+        )
         context.setPositions(np.concatenate(self._assembly.positions))
         context.setVelocitiesToTemperature(self._method.temperature, seed + 1)
         return context

@@ -160,6 +160,9 @@ class Interruption:
 
     def check(self) -> None:
         event = self.event
+        if event.what not in SIGNALS and self.method.engine != "exact":
+            # OpenMM's own steps are left where an error occurred.
+            reject()
         undisturbed = Undisturbed(self.mixture, self.method, self.platform)
         run, probe = probed(self.mixture, undisturbed.method, self.platform)
         observer = Observer(run)
@@ -197,6 +200,8 @@ class Interrupt:
     platform: str = "Reference"
 
     def check(self) -> None:
+        if self.method.engine != "exact":
+            reject()
         undisturbed = Undisturbed(self.mixture, self.method, self.platform)
         run, _ = probed(self.mixture, undisturbed.method, self.platform)
         lines_run(lambda: run.integrator.step(2), self.line, KeyboardInterrupt)

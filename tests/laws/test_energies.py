@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.examples import WITH_BODIES
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
@@ -34,6 +36,9 @@ class Gain:
 
     def check(self) -> None:
         run = started(self.mixture, self.method, self.platform)
+        if self.platform not in HOST_PLATFORMS and run.is_periodic:
+            # The force of `Run` depends on the image of an atom, and GPU platforms bring molecules into the box.
+            reject()
         if np.isnan(run.integrator.countedHeat):
             return
         thermal = GAS_CONSTANT * TEMPERATURE * run.freedoms(run.view())

@@ -10,6 +10,7 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.action_strategies import pasts, several
 from tests.laws.actions import Action, Load, Save, Step
 from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
@@ -84,7 +85,12 @@ class Restart:
         other = again()
         expected = [followed(other, action) for action in future]
         assert refusals == expected, f"{refusals} in place of {expected} after a restart"
-        assert_alike(run.everything(), other.everything())
+        assert_alike(run.everything(), other.everything(), *self._tolerances(run.method))
+
+    def _tolerances(self, method: Method) -> tuple[float, float]:
+        """Return those of positions and velocities: GPU platforms round where they box molecules of a State."""
+        is_exact = self.platform in HOST_PLATFORMS or self.way == "checkpoint"
+        return (0.0, 0.0) if is_exact else ROUNDING[method.engine]
 
     def restarted(self, run: Run) -> Callable[[], Run]:
         """Save a run here, and return a function that restarts it."""

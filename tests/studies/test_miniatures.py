@@ -13,7 +13,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import Interactions
-from studies import frame, gpu, heat_bath, records, speed, speed_boxes, timing, whole_run
+from studies import frame, gpu, heat_bath, kernels, records, speed, speed_boxes, timing, whole_run
 from studies.domains import __main__ as domains_command
 from studies.domains import energy as domains_energy
 from studies.domains import speed as domains_speed
@@ -174,6 +174,26 @@ def on_gpus(found):
     assert (energies[["SIER4G, 4 fs", "Verlet, 2 fs"]] > 0).all()
     assert found["domains"]["beads"].tolist() == 5 * [120]
     assert set(found["domains"]["engine"]) == {"", "native", "exact"}
+
+
+@miniature(
+    "kernels",
+    kernels,
+    "--kinds energy --starts 2",
+    # Without compiled kernels there is the exact engine.
+    patches=(
+        (kernels, "STEPS", 20),
+        (kernels, "EVERY_ENERGY", 4.0),
+        (kernels, "WARM", 0.02),
+        (kernels, "APART", 0.01),
+        (kernels, "MOVERS", {kernels.ENERGY: (kernels.EXACT,)}),
+    ),
+)
+def engines(found):
+    rows = found["energy"]
+    assert rows["engine"].tolist() == ["exact"]
+    assert (rows[["starts", "steps"]] == (2, 20)).all(axis=None)
+    assert (rows[["percent", "percent_error"]] > 0).all(axis=None)
 
 
 @miniature(

@@ -113,10 +113,16 @@ def energies(context):
     )
 
 
+def properties_of(name, precision="double"):
+    """Properties of a platform: one thread of the CPU platform, and a precision where there are several."""
+    if name == "CPU":
+        return {"Threads": "1", "DeterministicForces": "true"}
+    return {} if name == "Reference" else {"Precision": precision}
+
+
 def context_at(system, integrator, point, name="Reference", steps=None):
     """A Context at positions and velocities, after steps of its integrator if these are given."""
-    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
-    context = openmm.Context(system, integrator, platform(name), properties)
+    context = openmm.Context(system, integrator, platform(name), properties_of(name))
     context.setPositions(point[0])
     context.setVelocities(point[1])
     if steps is not None:
@@ -133,7 +139,7 @@ def judged(system, integrator):
 
 def plain_context(system, positions, name="Reference"):
     """A Context at positions, of one of OpenMM's own integrators, for energies and forces."""
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform(name))
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform(name), properties_of(name))
     context.setPositions(positions)
     return context
 
