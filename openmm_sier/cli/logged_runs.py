@@ -73,7 +73,9 @@ class Run:
 
     @cached_property
     def moves_volume(self) -> bool:
-        """Whether the density changes."""
+        """Whether the pressure is constant by the checkpoint; without one, whether the density changes."""
+        if self.plan is not None:
+            return self.plan.moves_volume
         values = self.log.get(DENSITY, np.array([math.nan]))
         return not np.isnan(values).any() and not is_constant(values)
 

@@ -54,6 +54,16 @@ def test_of_fewer_than_five_runs_the_errors_are_those_of_each(logs):
     assert density["error"] == pytest.approx(math.hypot(*(each["error"] for each in density["runs"])) / 3)
 
 
+def test_a_short_run_whose_volume_never_moved_is_of_the_same_kind():
+    """Its checkpoint says that its pressure is constant."""
+    write_log("moved.csv", "npt", seed=1)
+    log = write_log("still.csv", "npt", seed=2, change=lambda log: log.update({DENSITY: np.full(501, 0.997)}))
+    for seed, name in enumerate(("moved.csv", "still.csv"), 1):
+        write_notes(name, "npt", seed)
+    run("summary", "moved.csv", "still.csv", "--json", "a.json")
+    assert [each["value"] for each in written()[0]["density"]["runs"]][1] == pytest.approx(log[DENSITY].mean())
+
+
 def test_unsettled_beginnings_are_left_out_and_reported(capsys):
     def warm(log):
         log[POTENTIAL] = log[POTENTIAL] + 300 * np.exp(-log["Time (ps)"])
