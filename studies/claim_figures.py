@@ -57,6 +57,16 @@ def price_on_a_gpu(record: Record) -> Mapping[str, float]:
     return extremes(rows[rows["method"] == f"SIER4G, {USUAL:g} fs"], "over")
 
 
+def frequencies(record: Record) -> Mapping[str, float]:
+    """How far stretches of C=O are off, in 1/cm, and processor time of SIER4G over that of Verlet at 1 fs."""
+    rows, figures = record.tables["rows"], dict[str, float]()
+    methods = {"own": ("SIER4G", USUAL), "verlet": ("OpenMM Verlet", 2.0), "short": ("OpenMM Verlet", 1.0)}
+    found = {name: one(rows, method=method, step=step) for name, (method, step) in methods.items()}
+    for name, row in found.items():
+        figures |= {name: row["carbonyl_off"], f"{name}_error": row["carbonyl_off_error"]}
+    return figures | {"price": found["own"]["seconds"] / found["short"]["seconds"], "starts": found["own"]["starts"]}
+
+
 def gain(**conditions: object) -> Callable[[Record], Mapping[str, float]]:
     return lambda record: {"gain": one(record.tables["gains"], method="SIER4G", **conditions)["gain"]}
 
@@ -310,3 +320,12 @@ def patchy_particles(record: Record) -> Mapping[str, float]:
     rival = one(speeds, key="patchy", method=SPRINGS, step=longest)
     spread = math.hypot(*(row["ns_a_day_error"] / row["ns_a_day"] for row in (own, rival)))
     return {"bath": own["over"], "bath_error": own["over"] * spread, "rival": longest}
+
+
+def costs_beside_lammps(record: Record) -> Mapping[str, float]:
+    """Processor time of SIER4G over that of LAMMPS, at energy errors of 0.1 and 0.03 %."""
+    figures = dict[str, float]()
+    for name, error in (("usual", 0.1), ("small", 0.03)):
+        row = one(record.tables["costs"], method="SIER4G", error=error)
+        figures |= {name: row["relative"], f"{name}_error": row["relative_error"]}
+    return figures

@@ -62,6 +62,15 @@ USES: tuple[tuple[Claim, ...], ...] = (
             in_readme=True,
         ),
         Claim(
+            "A C=O stretch in water is {verlet:.1f} ± {verlet_error:.1f} cm⁻¹ too high with Verlet at 2 fs, and "
+            "{short:.1f} with Verlet at 1 fs, which costs as much as SIERIntegrator at 4 fs, where it is off by "
+            "{own:+.1f} ± {own_error:.1f} ({starts:.0f} starts).",
+            "vibrations.json",
+            figures.frequencies,
+            {"verlet": (20, 40), "own": (-5, 5), "price": (0.8, 1.25), "starts": (2, ANY)},
+            in_readme=True,
+        ),
+        Claim(
             "The price: at its step of 4 fs SIERIntegrator is {least:.2f} to {most:.2f} ± {most_error:.2f} times as "
             "fast as Verlet at 2 fs on a CPU,",
             "speed.json",
@@ -98,6 +107,14 @@ USES: tuple[tuple[Claim, ...], ...] = (
             "domains.json",
             figures.patchy_particles,
             {"bath": (1.1, ANY)},
+            in_readme=True,
+        ),
+        Claim(
+            "At constant energy rings of liquid benzene take {usual:.2f} ± {usual_error:.2f} times the processor time "
+            "of `fix rigid/nve/small` of LAMMPS on one thread, at an energy error of 0.1 %.",
+            "beside-lammps.json",
+            figures.costs_beside_lammps,
+            {"usual": (0, 0.6), "small": (0, 0.6)},
             in_readme=True,
         ),
     ),
