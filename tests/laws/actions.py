@@ -233,7 +233,7 @@ class Minimize(Action):
         run.context.applyConstraints(1e-9)
         run.energy_before, run.slope_before = run.potential_energy(), run.slope()
         # OpenMM's minimizer satisfies constraints to `SLIP` at its end.
-        run.slip = SLIP * np.abs(run.forces()).sum()
+        run.slip = SLIP * np.abs(run.forces()).max() if len(run.constraints[0]) else 0.0
         openmm.LocalEnergyMinimizer.minimize(run.context, 1.0, self.iterations)
 
     def shows(self, run, before, after):
