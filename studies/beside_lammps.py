@@ -149,8 +149,8 @@ def _lammps(
 ) -> Any:
     file = settings.out / "rings.data"
     edge = md(start.getPeriodicBoxVectors()[0][0])
-    arrays = (md(of(asNumpy=True)) for of in (start.getPositions, start.getVelocities))
-    file.write_text(lammps_rings.data(model, *arrays, edge))
+    positions, velocities = md(start.getPositions(asNumpy=True)), md(start.getVelocities(asNumpy=True))
+    file.write_text(lammps_rings.data(model, positions, velocities, edge))
     return lammps_rings.started(file, method.removeprefix("LAMMPS "), 1e-3 * step, pair)
 
 
