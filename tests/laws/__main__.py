@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import subprocess
 import sys
 import time
 import warnings
@@ -67,8 +66,7 @@ def main() -> int:
     asked = arguments()
     if asked.platform == "OpenCL" and opencl.environment() != dict(os.environ):
         # OpenMM looks for its runtime when Python starts.
-        command = [sys.executable, "-m", "tests.laws", *sys.argv[1:]]
-        return subprocess.run(command, env=opencl.environment(), check=False).returncode
+        os.execve(sys.executable, [sys.executable, "-m", "tests.laws", *sys.argv[1:]], opencl.environment())
     warnings.simplefilter("ignore")
     end, tried = time.monotonic() + 60 * asked.minutes, dict.fromkeys(asked.law, 0)
     broken: set[str] = set()
