@@ -5,10 +5,12 @@ So they do for every System, scheme and number of inner steps, prepared or not, 
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import openmm
@@ -25,8 +27,9 @@ from tests.laws.oracle import Oracle
 from tests.support import opencl
 from tests.support.waters import platform, properties_of
 
-#: ps: length of the trajectories, and steps.
-TIME, STEPS = 0.004, (0.0005, 0.00025)
+#: ps: length of the trajectories, and steps. The last one is for errors of the first two whose next term is large, such
+#: as those of RATTLE in molecules that spin fast.
+TIME, STEPS = 0.004, (0.0005, 0.00025, 0.000125)
 
 #: nm. Smaller errors say nothing. OpenMM rounds lengths of SETTLE and of frames to single precision, 6e-8 of 0.2 nm. In
 #: boxes forces end at the cut-off: a jump of 1 kJ/mol/nm displaces a hydrogen that crosses it within a step of 0.25 fs
@@ -71,12 +74,18 @@ class Order:
         built = self.mixture.build()
         expected = Oracle(built).end(self.pace * TIME).positions
         for engine in self.engines:
-            errors = [self._distance(built, found, expected) for found in self._ends(built, engine)]
-            shown = np.log2(errors[0] / errors[1]) if errors[1] > self._noise() else np.inf
-            assert shown > self._order(engine) - SLACK, (
-                f"{engine} engine: errors of {', '.join(f'{error:.2g}' for error in errors)} nm "
-                f"in steps of {', '.join(f'{step * 1000:g}' for step in self._steps)} fs are of order {shown:.2f}"
+            ends = self._ends(built, engine)
+            errors = [self._distance(built, found, expected) for found in islice(ends, 2)]
+            if self._shown(errors) < self._order(engine) - SLACK:
+                errors.append(self._distance(built, next(ends), expected))
+            assert self._shown(errors) > self._order(engine) - SLACK, (
+                f"{engine} engine: errors of {', '.join(f'{error:.2g}' for error in errors)} nm in steps of "
+                f"{', '.join(f'{step * 1000:g}' for step in self._steps)} fs are of order {self._shown(errors):.2f}"
             )
+
+    def _shown(self, errors: list[float]) -> float:
+        """Return the order that the errors of the last two steps show."""
+        return float(np.log2(errors[-2] / errors[-1])) if errors[-1] > self._noise() else math.inf
 
     @property
     def _steps(self) -> list[float]:
