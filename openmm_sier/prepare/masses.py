@@ -1,4 +1,4 @@
-"""Hydrogen mass repartitioning: the fastest motions become slower, and averages of positions do not change.
+"""Hydrogen mass repartitioning: the fastest motions become slower, and averages of positions hardly change.
 
 Source: Bennett, J. Comput. Phys. 19, 267 (1975); Feenstra, Hess and Berendsen, J. Comput. Chem. 20, 786 (1999), who
 also repartition the masses of water.
@@ -71,4 +71,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         warn("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
     counted = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(counts.items()))
-    return f"{counted}: averages of positions do not change, but motion is slower."
+    return (
+        f"{counted}: averages of positions do not change, but of angles between constrained bonds slightly, and motion "
+        "is slower."
+    )
