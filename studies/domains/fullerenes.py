@@ -27,14 +27,19 @@ LATTICE = 1.417
 CUTOFF, SWITCH = 1.25, 1.1
 
 
-def model(cells: int = 2) -> Model:
-    """A crystal of `cells`^3 cells of four molecules."""
+def model(cells: int = 2, cutoff: float = CUTOFF, switch: float = SWITCH) -> Model:
+    """A crystal of `cells`^3 cells of four molecules.
+
+    Args:
+        cells: along each edge.
+        cutoff, switch: nm; less in a small box.
+    """
     system, force, places, bodies = openmm.System(), openmm.NonbondedForce(), [], []
     force.setNonbondedMethod(force.CutoffPeriodic)
     # Reaction fields do not matter without charges.
-    force.setCutoffDistance(min(CUTOFF, 0.49 * cells * LATTICE))
+    force.setCutoffDistance(min(cutoff, 0.49 * cells * LATTICE))
     force.setUseSwitchingFunction(True)
-    force.setSwitchingDistance(min(SWITCH, 0.43 * cells * LATTICE))
+    force.setSwitchingDistance(min(switch, 0.43 * cells * LATTICE))
     force.setName("contacts")
     force.setForceGroup(INTERACTIONS)
     random = np.random.default_rng(1)
