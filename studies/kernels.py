@@ -125,7 +125,7 @@ MOVERS = {
 
 #: Boxes, how long their runs in a bath are, and those of each kind.
 WATER, DIPEPTIDE, CRYSTAL = "tip3p-64", "dipeptide", "C60-32"
-SHARES = {WATER: 1.0, DIPEPTIDE: 1 / 3, CRYSTAL: 1 / 2}
+SHARES = {WATER: 1.0, DIPEPTIDE: 1 / 3, CRYSTAL: 2.0}
 BOXES = {ENERGY: (WATER,), BATH: (WATER, DIPEPTIDE), BODIES: (CRYSTAL,)}
 
 
@@ -136,7 +136,7 @@ class KernelsSettings(RunsSettings):
     Attributes:
         kinds: of runs, energy, bath and bodies; all unless given.
         starts: of each method.
-        time: of each run of water in a bath, ps; a dipeptide in water has a third of it, and a crystal half.
+        time: of each run of water in a bath, ps; a dipeptide in water has a third of it, and a crystal twice it.
         platform: of the kernels.
     """
 
