@@ -220,8 +220,9 @@ class Motions:
         period = 2 * math.pi / math.sqrt(square)
         mobility = self._mobility[list(atoms)]
         gradients = np.ones(len(atoms)) if gradients is None else gradients
-        # Stiffness of the surroundings of the atoms, over that of the vibration.
-        share = float(self._held[list(atoms)] @ (gradients * mobility**2) / (square * (gradients @ mobility)))
+        # Stiffness of the surroundings of the atoms, over that of the vibration. Sites have no mobility of their own.
+        moved = float(gradients @ mobility)
+        share = float(self._held[list(atoms)] @ (gradients * mobility**2)) / (square * moved) if moved else 0.0
         can_be_fast = period < COARSE and not entry.containers and self.remedies.can_be_fast(entry.force, atoms)
         return Motion(period, atoms, entry.group, share, kind=kind, can_be_fast=can_be_fast)
 

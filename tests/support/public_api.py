@@ -33,7 +33,8 @@ def lines() -> Iterator[str]:
     for command in sorted(app):
         if command.startswith("-"):
             continue
-        options = {name for argument in app[command].assemble_argument_collection() for name in argument.names}
+        arguments = (each for each in app[command].assemble_argument_collection() if each.parse)
+        options = {name for argument in arguments for name in argument.names}
         yield from (f"openmm-sier {command} {name}" for name in sorted(options))
     yield f"checkpoints, format {checkpoints.FORMAT}"
     yield f"integrators in XML, layout {settings.LAYOUT}"
