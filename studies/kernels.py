@@ -302,8 +302,7 @@ MAKE: Mapping[str, Callable[[KernelsSettings, str, Mover], dict[str, Any]]] = {
 
 def made(settings: KernelsSettings, runs: pd.DataFrame) -> Tables:
     """Return a table of each kind."""
-    found = {kind: runs[runs["kind"] == kind].dropna(axis=1, how="all") for kind in KINDS}
-    return {kind: rows for kind, rows in found.items() if len(rows)}, {}
+    return {kind: runs[runs["kind"] == kind].dropna(axis=1, how="all") for kind in KINDS}, {}
 
 
 study = Experiment("kernels", tasks, run, "{kind} of {box}: {engine}, done", made, TABLES)

@@ -20,30 +20,23 @@ LAWS = (
     "rejections",
     "gains",
 )
-FEW = "order", "reversal", "restarts"
-
-#: Seconds after which two examples of each count as hanging.
-LIMIT = 1200
+#: Seconds. OpenMM compiles some hundred kernels for each Context, and a law that fails makes a hundred Contexts.
+LIMIT = 60_000
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("laws", "examples", "limit"),
-    [
-        pytest.param(FEW, 2, LIMIT, marks=pytest.mark.timeout(LIMIT + 60)),
-        pytest.param(LAWS, 100, 50 * LIMIT, marks=[pytest.mark.hundreds, pytest.mark.timeout(50 * LIMIT + 60)]),
-    ],
-)
-def test_laws_hold_on_kernels(laws, examples, limit):
+@pytest.mark.hundreds
+@pytest.mark.timeout(LIMIT + 60)
+def test_laws_hold_on_kernels():
     if not kernels.are_here():
         pytest.skip(kernels.MISSING)
     place = ["--platform", "OpenCL", "--engine", "kernels", "--seed", "1"]
-    command = [sys.executable, "-m", "tests.laws", "--law", *laws, *place, "--examples", str(examples)]
+    command = [sys.executable, "-m", "tests.laws", "--law", *LAWS, *place, "--examples", "100"]
     process = subprocess.run(
         command,
         capture_output=True,
         text=True,
-        timeout=limit,
+        timeout=LIMIT,
         env=opencl.environment(),
         check=False,
     )
