@@ -22,7 +22,7 @@ def main() -> int:
 
 
 def _answer_without_package(name: str) -> None:
-    """Have modules of a package imported while its own module stays empty."""
+    """Let the modules of a package be imported without executing `__init__.py` of the package."""
     spec = find_spec(name)
     assert spec is not None
     sys.modules[name] = module_from_spec(spec)

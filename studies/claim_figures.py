@@ -37,6 +37,7 @@ def usual_gains(record: Record) -> pd.DataFrame:
 
 
 def gains_of_whole_runs(record: Record) -> Mapping[str, float]:
+    """Least and largest gain, the number of gains, and the one that is of several starts."""
     usual = usual_gains(record)["gain"]
     # The largest is rounded down, which claims no more than there is.
     return {"least": usual.min(), "most": int(usual.max()), "count": len(usual)} | gain_of_several_starts(record)

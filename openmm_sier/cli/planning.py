@@ -35,7 +35,7 @@ def new_settings(given: InputSettings, origin: RunSettings | None = None) -> Run
     """
     chosen = given.chosen
     if "box" not in chosen:
-        raise Misused("expected BOX, a file of coordinates (see --help)")
+        raise Misused("expected BOX, a file of coordinates, or for `run` a checkpoint by --restart (see --help)")
     values: dict[str, Any] = {}
     if origin is not None:
         values = {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}

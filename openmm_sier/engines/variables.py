@@ -36,8 +36,8 @@ def report_hidden_kinetic_energy(integrator: openmm.CustomIntegrator) -> None:
 def per_atom_values(context: openmm.Context, *names: str) -> np.ndarray:
     """Return per-atom variables of the integrator of a Context, (number of names, N, 3).
 
-    OpenMM gives lists of objects, which take as long as a force for two variables of a large System. A checkpoint ends
-    with the numbers: those of the global variables, then those of the per-atom ones.
+    OpenMM returns a list of Python objects for each, which for a large System takes half as long as a force. A
+    checkpoint ends with the same numbers: those of the global variables, then those of the per-atom ones.
     """
     integrator = context.getIntegrator()
     checkpoint = openmm.Context.createCheckpoint(context)
@@ -76,7 +76,7 @@ def load_tally(integrator: openmm.CustomIntegrator, tally: Tally) -> None:
 
 
 def write_tally(integrator: openmm.CustomIntegrator, tally: Tally) -> None:
-    """Set the variables to a tally, before one of these is made; at other times they do not matter."""
+    """Set the variables to a tally, before a checkpoint, State or XML is made; at other times they do not matter."""
     values = tally.heat, tally.draws, tally.seed, *tally.counts.values()
     for name, value in zip(names_of(tally), values, strict=True):
         integrator.setGlobalVariableByName(name, value)

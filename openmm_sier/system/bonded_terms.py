@@ -100,7 +100,8 @@ def mobilities(bodies: BodySet) -> np.ndarray:
         return mobility
     # All kinds at once: there may be thousands.
     sizes = [species.masses.size for species in turning]
-    moments, turns = (np.array([getattr(species, name) for species in turning]) for name in ("moments", "turns"))
+    moments = np.array([species.moments for species in turning])
+    turns = np.array([species.turns for species in turning])
     inverse = np.repeat(np.divide(1.0, moments, out=np.zeros(moments.shape), where=turns), sizes, axis=0)
     cross = np.cross(np.eye(3), np.concatenate([species.sites.T for species in turning])[:, None])
     rotational = np.linalg.eigvalsh(np.einsum("kax,ka,kay->kxy", cross, inverse, cross))[:, -1]

@@ -207,8 +207,10 @@ def constraints(system: openmm.System) -> Constraints:
         )
     acting = (masses(system)[pairs] > 0).all(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
-    if not (sensible := (lengths > 0) & (lengths < np.inf)).all():
-        (i, j), length = pairs[sensible.argmin()], lengths[sensible.argmin()]
+    is_length = (lengths > 0) & (lengths < np.inf)
+    if not is_length.all():
+        first = is_length.argmin()
+        (i, j), length = pairs[first], lengths[first]
         raise openmm.OpenMMException(f"The constraint of atoms {i} and {j} has a length of {length:g} nm, not above 0")
     distinct = first_of_each(pairs)
     return Constraints(pairs[distinct], lengths[distinct])

@@ -11,9 +11,8 @@ import itertools
 import math
 
 import numpy as np
-import openmm
 
-from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within
+from studies.domains.models import Model, contacts, of_molecules
 
 #: Mass in dalton, length of a bond in nm, and Lennard-Jones of a carbon atom, nm and kJ/mol.
 CARBON, BOND, SIGMA, EPSILON = 12.011, 0.144, 0.3469, 0.2763
@@ -34,26 +33,15 @@ def model(cells: int = 2, cutoff: float = CUTOFF, switch: float = SWITCH) -> Mod
         cells: along each edge.
         cutoff, switch: nm; less in a small box.
     """
-    system, force, places, bodies = openmm.System(), openmm.NonbondedForce(), [], []
-    force.setNonbondedMethod(force.CutoffPeriodic)
-    # Reaction fields do not matter without charges.
-    force.setCutoffDistance(min(cutoff, 0.49 * cells * LATTICE))
-    force.setUseSwitchingFunction(True)
-    force.setSwitchingDistance(min(switch, 0.43 * cells * LATTICE))
-    force.setName("contacts")
-    force.setForceGroup(INTERACTIONS)
+    edge = cells * LATTICE
+    force = contacts(min(cutoff, 0.49 * edge), min(switch, 0.43 * edge))
     random = np.random.default_rng(1)
     faces = 0.5 * np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]])
-    for cell, corner in itertools.product(itertools.product(range(cells), repeat=3), faces):
-        rotated = buckminsterfullerene() @ rotation(random)
-        places.append(rotated + LATTICE * (np.array(cell) + corner))
-        bodies.append([system.addParticle(CARBON) for _ in rotated])
-        for _ in rotated:
-            force.addParticle(0, SIGMA, EPSILON)
-    exclude(force, pairs_within(bodies))
-    system.addForce(force)
-    system.setDefaultPeriodicBoxVectors(*(cells * LATTICE * np.eye(3)))
-    return Model("C60", system, None, np.concatenate(places), bodies)
+    molecules = [
+        buckminsterfullerene() @ rotation(random) + LATTICE * (np.array(cell) + corner)
+        for cell, corner in itertools.product(itertools.product(range(cells), repeat=3), faces)
+    ]
+    return of_molecules("C60", force, molecules, CARBON, (SIGMA, EPSILON), edge)
 
 
 def buckminsterfullerene() -> np.ndarray:

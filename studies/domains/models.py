@@ -74,6 +74,49 @@ def exclude(force: openmm.CustomNonbondedForce | openmm.NonbondedForce, pairs: I
             force.addException(i, j, 0, 1, 0)
 
 
+def contacts(cutoff: float, switch: float) -> openmm.NonbondedForce:
+    """A Force without charges and without atoms, whose interactions are switched off between two distances, nm."""
+    force = openmm.NonbondedForce()
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    # Reaction fields do not matter without charges.
+    force.setCutoffDistance(cutoff)
+    force.setUseSwitchingFunction(True)
+    force.setSwitchingDistance(switch)
+    force.setName("contacts")
+    force.setForceGroup(INTERACTIONS)
+    return force
+
+
+def of_molecules(
+    name: str,
+    force: openmm.NonbondedForce,
+    molecules: Sequence[np.ndarray],
+    mass: float,
+    lennard_jones: tuple[float, float],
+    edge: float,
+) -> Model:
+    """A model of rigid molecules of one kind of atom in a cubic box.
+
+    Args:
+        name: of the model.
+        force: see `contacts`; atoms are added.
+        molecules: positions of each, (k, 3), nm.
+        mass: of an atom, Da.
+        lennard_jones: sigma in nm and epsilon in kJ/mol.
+        edge: nm.
+    """
+    system = openmm.System()
+    bodies = []
+    for places in molecules:
+        bodies.append([system.addParticle(mass) for _ in places])
+        for _ in places:
+            force.addParticle(0, *lennard_jones)
+    exclude(force, pairs_within(bodies))
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
+    return Model(name, system, None, np.concatenate(molecules), bodies)
+
+
 def springs(positions: np.ndarray, stiffness: Mapping[Pair, float]) -> openmm.HarmonicBondForce:
     """Springs k/2 (r - r0)^2 at rest in some positions (N, 3) in nm, with k in kJ/mol/nm^2 for each pair."""
     force = openmm.HarmonicBondForce()

@@ -9,10 +9,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import openmm
 
 from studies.domains.fullerenes import rotation
-from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within
+from studies.domains.models import Model, contacts, of_molecules
 
 #: Dalton of a united atom, nm of a side, which is the radius too, and Lennard-Jones in nm and kJ/mol.
 MASS, SIDE, SIGMA, EPSILON = 13.019, 0.14, 0.375, 0.4602
@@ -26,25 +25,12 @@ CUTOFF, SWITCH = 1.2, 1.0
 
 def model(edge: int = 6) -> Model:
     """`edge`^3 rings at 300 K and constant volume."""
-    system, force = openmm.System(), openmm.NonbondedForce()
-    force.setNonbondedMethod(force.CutoffPeriodic)
-    force.setCutoffDistance(CUTOFF)
-    force.setUseSwitchingFunction(True)
-    force.setSwitchingDistance(SWITCH)
+    force = contacts(CUTOFF, SWITCH)
     force.setUseDispersionCorrection(False)
-    force.setName("contacts")
-    force.setForceGroup(INTERACTIONS)
     angles = np.arange(6) * np.pi / 3
     ring = SIDE * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
     spacing = DENSITY ** (-1 / 3)
     random = np.random.default_rng(1)
-    places, bodies = [], []
-    for corner in itertools.product(range(edge), repeat=3):
-        places.append(spacing * np.array(corner) + ring @ rotation(random))
-        bodies.append([system.addParticle(MASS) for _ in ring])
-        for _ in ring:
-            force.addParticle(0, SIGMA, EPSILON)
-    exclude(force, pairs_within(bodies))
-    system.addForce(force)
-    system.setDefaultPeriodicBoxVectors(*(edge * spacing * np.eye(3)))
-    return Model("rings", system, None, np.concatenate(places), bodies)
+    corners = itertools.product(range(edge), repeat=3)
+    molecules = [spacing * np.array(corner) + ring @ rotation(random) for corner in corners]
+    return of_molecules("rings", force, molecules, MASS, (SIGMA, EPSILON), edge * spacing)

@@ -12,14 +12,14 @@ from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
 from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
-from studies.launches.hexagons import rings
+from studies.domains import rings
 from studies.methods import HEAVY, MIDDLE, VERLET, Bath, Contestant, in_bath, of_scheme, several_steps, trials
 
 #: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
 BOXES = ("tip3p-512", "tip4p-512", "peptide")
 
-#: A box of named bodies, and how many there are.
-BODIES, N_BODIES = "hexagons-1000", 1000
+#: A box of named bodies, rings of six atoms, and how many there are along an edge.
+BODIES, EDGE = "hexagons-1000", 10
 
 #: nm.
 CUTOFF = 0.9
@@ -110,5 +110,6 @@ def _of_file(box: str, method: Contestant) -> tuple[openmm.System, Any, openmm.I
 
 
 def _named(method: Contestant) -> tuple[openmm.System, Any, openmm.Integrator]:
-    made = rings(N_BODIES, CUTOFF)
-    return made.system, made.positions, in_bath(engine="kernels", bodies=made.bodies).at(method.step).integrator(BATH)
+    model = rings.model(EDGE)
+    integrator = in_bath(engine="kernels", bodies=model.rigid_bodies).at(method.step).integrator(BATH)
+    return model.rigid, model.positions, integrator

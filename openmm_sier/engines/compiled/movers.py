@@ -112,8 +112,10 @@ class Mover:
         lines += self.read
         used = 0
         for call in calls:
-            written = self._counted if counts_heat else self._call
-            lines += written(call, noise + used, kinds)
+            if counts_heat:
+                lines += self._counted(call, noise + used, divides_drift=TO_BATH in kinds)
+            else:
+                lines += self._call(call, noise + used)
             if call.kind in (BATHE, DRAW):
                 used += self.noise * self.number
         return lines + self._end(calls), used
@@ -124,14 +126,8 @@ class Mover:
             return []
         return [*self.moved, *(self.placed if any(call.moves for call in calls) else ())]
 
-    def _call(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
-        """Return the lines of a call.
-
-        Args:
-            call: the call.
-            noise: the first random vector for these movers.
-            kinds: those of all calls.
-        """
+    def _call(self, call: Call, noise: int) -> list[str]:
+        """Return the lines of a call, whose first random vector for these movers is `noise`."""
         if call.kind in (COUNT_BEFORE, COUNT_AFTER):
             return self._count("-" if call.kind == COUNT_BEFORE else "+")
         if call.kind == SUM_END:
@@ -141,15 +137,15 @@ class Mover:
         lines = [line.format(**values) for line in self.texts.get(call.kind, ())]
         if call.kind == DRAW:
             bath = [line.format(**values | {"bath": "values"}) for line in self.texts[BATHE]]
-            return [*lines, *bath, *self._call(Call(PROJECT), noise, kinds), *self._sum("startSums")]
+            return [*lines, *bath, *self._call(Call(PROJECT), noise), *self._sum("startSums")]
         if call.kind == START:
             factor = "const mixed factor = factorOfStart(values, startSums);"
             return [factor, *lines, self._on_atoms("keepStart({}, THE_POSITIONS, velm, force, factor, THE_START);")]
         return lines
 
-    def _counted(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
-        """Return the lines of a call, with those that count the heat of a bath."""
-        lines = self._call(call, noise, kinds)
+    def _counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
+        """Return the lines of a call, with those that count the heat of a bath; `divides_drift` is for clusters."""
+        lines = self._call(call, noise)
         return [*self._count("-"), *lines, *self._count("+")] if call.kind == BATHE else lines
 
     def _count(self, sign: str) -> list[str]:
@@ -267,16 +263,15 @@ class Clusters(Mover):
         CHANGE: ("changeCluster(&c, values[0], shiftOf(values));",),
     }
 
-    def _call(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
+    def _call(self, call: Call, noise: int) -> list[str]:
         if call.kind == DRIFT:
             steps = call.scalars[1:] or call.scalars
             return [f"driftCluster(&c, scalars[{step}]);" for step in steps]
-        return super()._call(call, noise, kinds)
+        return super()._call(call, noise)
 
-    def _counted(self, call: Call, noise: int, kinds: Sequence[str]) -> list[str]:
+    def _counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
         """Return the lines of a call; energies are those of velocities without parts along the constraints."""
-        lines, project = self._call(call, noise, kinds), self._call(Call(PROJECT), noise, kinds)
-        divides_drift = TO_BATH in kinds
+        lines, project = self._call(call, noise), self._call(Call(PROJECT), noise)
         if divides_drift and call.kind == TO_BATH:
             # It projects first, and velocities do not change after that.
             return [*lines, *self._count("-")]
