@@ -221,7 +221,7 @@ class Suspended:
         spring = springs.sum()
         shifts = assembly.rng.normal(scale=math.sqrt(at.thermal / spring), size=(n, 1, 3))
         atoms = assembly.add(places @ np.swapaxes(turns, 1, 2) + centres + shifts, weights)
-        assembly.bodies += atoms.tolist()
+        assembly.make_rigid(atoms, places, named=True)
         homes = (places + centres).reshape(-1, 3)
         energy = "0.5*spring*((x-x0)^2+(y-y0)^2+(z-z0)^2)"
         add_external(assembly, energy, atoms, np.tile(springs, n), *homes.T, names=("spring", "x0", "y0", "z0"))
@@ -282,7 +282,8 @@ class Joined:
         second += first[:, 1:2] + apart - second[:, :1]
         k = len(frame.masses)
         atoms = assembly.add(assembly.scatter(np.concatenate([first, second], axis=1)), np.tile(frame.masses, 2))
-        assembly.bodies += atoms[:, :k].tolist() + atoms[:, k:].tolist()
+        for half in (atoms[:, :k], atoms[:, k:]):
+            assembly.make_rigid(half, frame.places, named=True)
         assembly.molecules += n
         force = openmm.HarmonicBondForce()
         for molecule in atoms.tolist():
