@@ -243,9 +243,12 @@ def read_box(settings: Any) -> Any:
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each box, pressure and method: means over its runs with errors, and what is compared with others."""
+    """A row for each box, pressure and method: means over its runs with errors, and what is compared with others.
+
+    Temperatures are of the runs whose velocities have no components along constraints.
+    """
     rows = []
-    for _, at in runs.groupby(["box", "at"], sort=False):
+    for _, at in comparable(runs).groupby(["box", "at"], sort=False):
         exact = at[at["method"].str.contains("HMC")]
         for _, mine in at.groupby("method", sort=False):
             rows.append(_row(mine) | {f"{angle}_p": _probability(angle, mine, exact) for angle in ANGLES})
@@ -259,7 +262,7 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     """Means over the runs of one method in one box."""
     row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
-    row["projected"] = bool(runs.get("projected", pd.Series(False)).eq(True).all())
+    row["projected"] = bool(runs.get("projected", pd.Series(False)).eq(True).any())
     # What is not known of any run has no column.
     known = runs.reindex(columns=["accepted", "trials", "fs_per_second"])
     row |= known.mean().rename({"fs_per_second": "speed"}).to_dict() | {"trials": known["trials"].sum()}
@@ -267,7 +270,7 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def comparable(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a record, without temperatures of velocities with components along constraints.
+    """Return runs, or rows of a record, without temperatures of velocities with components along constraints.
 
     Runs are `projected` if these components were taken away; this package's integrators have none.
     """

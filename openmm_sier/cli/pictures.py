@@ -138,7 +138,10 @@ def draw(runs: Runs, path: Path) -> None:
     with mpl.rc_context(RC):
         size = WIDTH, HEIGHT_OF_PANEL * len(drawn) + HEIGHT_OF_TITLE
         figure = Figure(figsize=size, layout="constrained")
-        figure.suptitle(textwrap.fill(runs.title, LETTERS), x=0.01, ha="left", fontsize=17, fontweight="bold")
+        # Lines end at commas, so that a number stays with its unit.
+        parts = runs.title.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+        title = textwrap.fill(parts, LETTERS)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=17, fontweight="bold")
         axes = figure.subplots(len(drawn), 1, squeeze=False, sharex=True)[:, 0]
         for panel, place in zip(drawn, axes, strict=True):
             _draw_panel(place, runs, panel)

@@ -45,3 +45,16 @@ def test_records_of_raw_velocities_are_not_compared():
     assert old["rotation"][1] == 300
     assert (old["potential"] == 1).all()
     assert (new["rotation"] == 300).all()
+
+
+def test_temperatures_are_of_projected_runs_alone():
+    """Further starts of a method add to all averages of the runs before them, but not to their temperatures."""
+    shared = {"box": "water", "at": "constant volume", "method": "LangevinMiddle, 4 fs", "hydrogens": "", "time": 1.0}
+    values = {"broken": "", "rotation_error": 1.0, "potential_error": 1.0}
+    raw = shared | values | {"rotation": 306.0, "potential": 1.0, "fs_per_second": 1.0}
+    new = shared | values | {"rotation": 297.0, "potential": 3.0, "projected": True}
+    (row,) = heat_bath.averaged(pd.DataFrame([raw, new])).to_dict("records")
+    assert row["rotation"] == 297
+    assert row["potential"] == 2
+    assert row["speed"] == 1
+    assert heat_bath.comparable(pd.DataFrame([row]))["rotation"][0] == 297
