@@ -97,7 +97,6 @@ static int is_dropped(object *event)
         ((cl_int (*)(object)) find_opencl("clRetainEvent"))(completed);
         *event = completed;
     }
-    leave();
     return 1;
 }
 
@@ -140,6 +139,8 @@ static void note(const char *kind, const char *kernel, int is_blocking, size_t b
 cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, const size_t *offset,
                               const size_t *global, const size_t *local, cl_uint n, const object *after, object *event)
 {
+    if (is_dropped(event))
+        return 0;
     enter();
     last_queue = queue;
     if (is_counting) {
@@ -151,8 +152,6 @@ cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, c
             strcpy(name, "unknown");
         note("kernel", name, 0, 0);
     }
-    if (is_dropped(event))
-        return 0;
     PASS_ON(cl_int, clEnqueueNDRangeKernel,
             (object, object, cl_uint, const size_t *, const size_t *, const size_t *, cl_uint, const object *, object *),
             (queue, kernel, dimensions, offset, global, local, n, after, event));
@@ -161,10 +160,10 @@ cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, c
 cl_int clEnqueueReadBuffer(object queue, object buffer, cl_bool is_blocking, size_t offset, size_t bytes, void *to,
                            cl_uint n, const object *after, object *event)
 {
-    enter();
-    note("read", "", is_blocking != 0, bytes);
     if (!is_blocking && is_dropped(event))
         return 0;
+    enter();
+    note("read", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueReadBuffer,
             (object, object, cl_bool, size_t, size_t, void *, cl_uint, const object *, object *),
             (queue, buffer, is_blocking, offset, bytes, to, n, after, event));
@@ -173,10 +172,10 @@ cl_int clEnqueueReadBuffer(object queue, object buffer, cl_bool is_blocking, siz
 cl_int clEnqueueWriteBuffer(object queue, object buffer, cl_bool is_blocking, size_t offset, size_t bytes,
                             const void *from, cl_uint n, const object *after, object *event)
 {
-    enter();
-    note("write", "", is_blocking != 0, bytes);
     if (is_dropped(event))
         return 0;
+    enter();
+    note("write", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueWriteBuffer,
             (object, object, cl_bool, size_t, size_t, const void *, cl_uint, const object *, object *),
             (queue, buffer, is_blocking, offset, bytes, from, n, after, event));
@@ -185,10 +184,10 @@ cl_int clEnqueueWriteBuffer(object queue, object buffer, cl_bool is_blocking, si
 cl_int clEnqueueCopyBuffer(object queue, object from, object to, size_t from_offset, size_t to_offset, size_t bytes,
                            cl_uint n, const object *after, object *event)
 {
-    enter();
-    note("copy", "", 0, bytes);
     if (is_dropped(event))
         return 0;
+    enter();
+    note("copy", "", 0, bytes);
     PASS_ON(cl_int, clEnqueueCopyBuffer,
             (object, object, object, size_t, size_t, size_t, cl_uint, const object *, object *),
             (queue, from, to, from_offset, to_offset, bytes, n, after, event));
@@ -222,18 +221,24 @@ cl_int clWaitForEvents(cl_uint n, const object *events)
 
 cl_int clSetKernelArg(object kernel, cl_uint index, size_t size, const void *value)
 {
+    if (is_dropped(NULL))
+        return 0;
     enter();
     PASS_ON(cl_int, clSetKernelArg, (object, cl_uint, size_t, const void *), (kernel, index, size, value));
 }
 
 cl_int clRetainCommandQueue(object queue)
 {
+    if (is_dropped(NULL))
+        return 0;
     enter();
     PASS_ON(cl_int, clRetainCommandQueue, (object), (queue));
 }
 
 cl_int clReleaseCommandQueue(object queue)
 {
+    if (is_dropped(NULL))
+        return 0;
     enter();
     PASS_ON(cl_int, clReleaseCommandQueue, (object), (queue));
 }

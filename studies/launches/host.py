@@ -37,7 +37,10 @@ BOXES = ("tip3p-64", "tip3p-512", "tip3p-32768", "peptide")
 METHODS = ("langevinmiddle", "sier2", "sier2-kernels")
 
 #: Steps in a call, and numbers of calls without commands and with them.
-STEPS, DROPPED_CALLS, CALLS = 10, 300, 5
+STEPS, DROPPED_CALLS, CALLS = 10, 500, 3
+
+#: Length of steps, ps.
+STEP = 1e-4
 
 #: Columns for a terminal.
 COLUMNS = {
@@ -98,6 +101,8 @@ def measure(box: str, name: str, seed: int) -> dict[str, Any]:
     """Return the number of atoms and times of a step in microseconds: medians, and quartiles of the first one."""
     integrator, library = cases.CASES[name].integrator, shim.Shim()
     context = cases.context(box, integrator, "mixed", seed)
+    # The host does the same in a step of any length, and water on a lattice is far from equilibrium.
+    context.getIntegrator().setStepSize(STEP)
     step = context.getIntegrator().step
     step(counting.FIRST)
 
