@@ -11,6 +11,7 @@ from openmm import app
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
 from openmm_sier.inputs import forcefields
+from studies import boxes
 from studies.command import SYSTEMS
 from studies.domains import rings
 from studies.methods import HEAVY, MIDDLE, VERLET, Bath, Contestant, in_bath, of_scheme, several_steps, trials
@@ -82,7 +83,7 @@ def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.C
     """Return a Context on the OpenCL platform, with velocities.
 
     Args:
-        box: a name of `BOXES`, or `BODIES`.
+        box: a name of `BOXES`, `BODIES`, or tip3p-N, N molecules of TIP3P.
         method: the integrator.
         precision: mixed, single or double.
         seed: of velocities and of the integrator.
@@ -101,10 +102,20 @@ def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.C
 
 def _of_file(box: str, method: Contestant) -> tuple[openmm.System, Any, openmm.Integrator]:
     path = SYSTEMS / f"{box}.pdb"
+    if not path.exists():
+        return _of_size(box, method)
     pdb = app.PDBFile(str(path))
     field = forcefields.load(forcefields.pick(path)[0], SYSTEMS)
     topology, positions = forcefields.add_virtual_sites(pdb.topology, pdb.positions, field)
     system = field.createSystem(topology, nonbondedMethod=app.PME, nonbondedCutoff=CUTOFF, constraints=app.HBonds)
+    method.fit(system)
+    return system, positions, method.integrator(BATH)
+
+
+def _of_size(box: str, method: Contestant) -> tuple[openmm.System, Any, openmm.Integrator]:
+    """Return water on a lattice, whose name ends in its number of molecules."""
+    topology, positions = boxes.on_lattice(int(box.rpartition("-")[2]))
+    system = forcefields.pme_system(topology, forcefields.load(["tip3p.xml"]))
     method.fit(system)
     return system, positions, method.integrator(BATH)
 

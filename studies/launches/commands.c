@@ -2,7 +2,9 @@
  *
  * The linker finds the functions of a preloaded library before those of OpenCL. Those that send commands or wait for
  * them are here under their own names. Each notes its command, calls OpenCL's function, and adds up the processor
- * time of the calling thread there. `shim.py` compiles this file and calls the functions at its end.
+ * time of the calling thread there. Functions of OpenMM by which a step computes forces are here too, and those that
+ * make steps: so the time is known that the host spends on a step beside forces and OpenCL. `shim.py` compiles this
+ * file and calls the functions at its end.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -20,6 +22,8 @@ typedef uint32_t cl_bool;
 typedef uint64_t cl_map_flags;
 typedef void *object;
 #define CL_KERNEL_FUNCTION_NAME 0x1190
+#define CL_QUEUE_CONTEXT 0x1090
+#define CL_COMPLETE 0
 
 /* Commands that are alike in everything but their sizes; `struct command` of shim.py. */
 struct command {
@@ -39,25 +43,61 @@ static object last_queue;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static __thread double seconds;
 
-/* OpenCL's own function of a name. */
-static void *find(const char *name)
+/* Number of functions here that the calling thread is in, when it entered the first one, the time in all of them, and
+ * that of steps outside of them. */
+static __thread int depth;
+static __thread double entered, elsewhere, in_steps;
+
+/* Whether commands are forgotten, and an event that is complete. */
+static int drops_commands;
+static object completed;
+
+/* The function of a name of a library. */
+static void *find(const char *name, const char *file)
 {
-    static void *library;
-    if (library == NULL)
-        library = dlopen("libOpenCL.so.1", RTLD_NOW);
+    void *library = dlopen(file, RTLD_NOW);
     void *found = library == NULL ? NULL : dlsym(library, name);
     if (found == NULL) {
-        fprintf(stderr, "libOpenCL.so.1 has no %s\n", name);
+        fprintf(stderr, "%s has no %s\n", file, name);
         abort();
     }
     return found;
 }
 
-static double clock_time(void)
+static void *find_opencl(const char *name)
+{
+    return find(name, "libOpenCL.so.1");
+}
+
+static double time_by(clockid_t clock)
 {
     struct timespec now;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    clock_gettime(clock, &now);
     return now.tv_sec + 1e-9 * now.tv_nsec;
+}
+
+static void enter(void)
+{
+    if (depth++ == 0)
+        entered = time_by(CLOCK_MONOTONIC);
+}
+
+static void leave(void)
+{
+    if (--depth == 0)
+        elsewhere += time_by(CLOCK_MONOTONIC) - entered;
+}
+
+/* Whether a command is forgotten. Its event is complete. */
+static int is_dropped(object *event)
+{
+    if (!drops_commands)
+        return 0;
+    if (event != NULL) {
+        ((cl_int (*)(object)) find_opencl("clRetainEvent"))(completed);
+        *event = completed;
+    }
+    return 1;
 }
 
 static void note(const char *kind, const char *kernel, int is_blocking, size_t bytes)
@@ -89,20 +129,24 @@ static void note(const char *kind, const char *kernel, int is_blocking, size_t b
 #define PASS_ON(type, name, parameters, arguments)                                                                     \
     static type (*own) parameters;                                                                                     \
     if (own == NULL)                                                                                                   \
-        own = (type (*) parameters) find(#name);                                                                       \
-    double start = clock_time();                                                                                   \
+        own = (type (*) parameters) find_opencl(#name);                                                                \
+    double start = time_by(CLOCK_THREAD_CPUTIME_ID);                                                                   \
     type result = own arguments;                                                                                       \
-    seconds += clock_time() - start;                                                                               \
+    seconds += time_by(CLOCK_THREAD_CPUTIME_ID) - start;                                                               \
+    leave();                                                                                                           \
     return result
 
 cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, const size_t *offset,
                               const size_t *global, const size_t *local, cl_uint n, const object *after, object *event)
 {
+    if (is_dropped(event))
+        return 0;
+    enter();
     last_queue = queue;
     if (is_counting) {
         static cl_int (*information)(object, cl_uint, size_t, void *, size_t *);
         if (information == NULL)
-            information = (cl_int (*)(object, cl_uint, size_t, void *, size_t *)) find("clGetKernelInfo");
+            information = (cl_int (*)(object, cl_uint, size_t, void *, size_t *)) find_opencl("clGetKernelInfo");
         char name[112] = "";
         if (information(kernel, CL_KERNEL_FUNCTION_NAME, sizeof name, name, NULL) != 0)
             strcpy(name, "unknown");
@@ -116,6 +160,9 @@ cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, c
 cl_int clEnqueueReadBuffer(object queue, object buffer, cl_bool is_blocking, size_t offset, size_t bytes, void *to,
                            cl_uint n, const object *after, object *event)
 {
+    if (!is_blocking && is_dropped(event))
+        return 0;
+    enter();
     note("read", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueReadBuffer,
             (object, object, cl_bool, size_t, size_t, void *, cl_uint, const object *, object *),
@@ -125,6 +172,9 @@ cl_int clEnqueueReadBuffer(object queue, object buffer, cl_bool is_blocking, siz
 cl_int clEnqueueWriteBuffer(object queue, object buffer, cl_bool is_blocking, size_t offset, size_t bytes,
                             const void *from, cl_uint n, const object *after, object *event)
 {
+    if (is_dropped(event))
+        return 0;
+    enter();
     note("write", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueWriteBuffer,
             (object, object, cl_bool, size_t, size_t, const void *, cl_uint, const object *, object *),
@@ -134,6 +184,9 @@ cl_int clEnqueueWriteBuffer(object queue, object buffer, cl_bool is_blocking, si
 cl_int clEnqueueCopyBuffer(object queue, object from, object to, size_t from_offset, size_t to_offset, size_t bytes,
                            cl_uint n, const object *after, object *event)
 {
+    if (is_dropped(event))
+        return 0;
+    enter();
     note("copy", "", 0, bytes);
     PASS_ON(cl_int, clEnqueueCopyBuffer,
             (object, object, object, size_t, size_t, size_t, cl_uint, const object *, object *),
@@ -143,6 +196,7 @@ cl_int clEnqueueCopyBuffer(object queue, object from, object to, size_t from_off
 void *clEnqueueMapBuffer(object queue, object buffer, cl_bool is_blocking, cl_map_flags flags, size_t offset,
                          size_t bytes, cl_uint n, const object *after, object *event, cl_int *error)
 {
+    enter();
     note("map", "", is_blocking != 0, bytes);
     PASS_ON(void *, clEnqueueMapBuffer,
             (object, object, cl_bool, cl_map_flags, size_t, size_t, cl_uint, const object *, object *, cl_int *),
@@ -151,15 +205,80 @@ void *clEnqueueMapBuffer(object queue, object buffer, cl_bool is_blocking, cl_ma
 
 cl_int clFinish(object queue)
 {
+    enter();
     note("wait", "", 1, 0);
     PASS_ON(cl_int, clFinish, (object), (queue));
 }
 
 cl_int clWaitForEvents(cl_uint n, const object *events)
 {
+    enter();
     note("wait", "", 1, 0);
     PASS_ON(cl_int, clWaitForEvents, (cl_uint, const object *), (n, events));
 }
+
+/* Each launch calls these too. */
+
+cl_int clSetKernelArg(object kernel, cl_uint index, size_t size, const void *value)
+{
+    if (is_dropped(NULL))
+        return 0;
+    enter();
+    PASS_ON(cl_int, clSetKernelArg, (object, cl_uint, size_t, const void *), (kernel, index, size, value));
+}
+
+cl_int clRetainCommandQueue(object queue)
+{
+    if (is_dropped(NULL))
+        return 0;
+    enter();
+    PASS_ON(cl_int, clRetainCommandQueue, (object), (queue));
+}
+
+cl_int clReleaseCommandQueue(object queue)
+{
+    if (is_dropped(NULL))
+        return 0;
+    enter();
+    PASS_ON(cl_int, clReleaseCommandQueue, (object), (queue));
+}
+
+/* --- OpenMM's functions, by their names for the linker --- */
+
+/* A function of the type that comes first, which calls the one that it stands before. */
+#define STANDS_BEFORE(type, name, symbol, library, parameters, arguments)                                              \
+    type name parameters __asm__(symbol);                                                                              \
+    type name parameters                                                                                               \
+    {                                                                                                                  \
+        static type (*own) parameters;                                                                                 \
+        enter();                                                                                                       \
+        if (own == NULL)                                                                                               \
+            own = (type (*) parameters) find(symbol, library);                                                         \
+        type result = own arguments;                                                                                   \
+        leave();                                                                                                       \
+        return result;                                                                                                 \
+    }
+
+STANDS_BEFORE(double, compute_forces, "_ZN6OpenMM11ContextImpl19calcForcesAndEnergyEbbi", "libOpenMM.so",
+              (object context, _Bool forces, _Bool energy, int groups), (context, forces, energy, groups))
+STANDS_BEFORE(_Bool, update_context, "_ZN6OpenMM11ContextImpl18updateContextStateEv", "libOpenMM.so",
+              (object context), (context))
+
+/* A function that makes steps. */
+#define MAKES_STEPS(name, symbol)                                                                                      \
+    void name(object integrator, int steps) __asm__(symbol);                                                           \
+    void name(object integrator, int steps)                                                                            \
+    {                                                                                                                  \
+        static void (*own)(object, int);                                                                               \
+        if (own == NULL)                                                                                               \
+            own = (void (*)(object, int)) find(symbol, "libOpenMM.so");                                                \
+        double start = time_by(CLOCK_MONOTONIC), before = elsewhere;                                                   \
+        own(integrator, steps);                                                                                        \
+        in_steps += time_by(CLOCK_MONOTONIC) - start - (elsewhere - before);                                           \
+    }
+
+MAKES_STEPS(step_custom, "_ZN6OpenMM16CustomIntegrator4stepEi")
+MAKES_STEPS(step_middle, "_ZN6OpenMM24LangevinMiddleIntegrator4stepEi")
 
 /* --- for shim.py --- */
 
@@ -184,12 +303,31 @@ double seconds_in_opencl(void)
     return seconds;
 }
 
+/* Time of steps in which the calling thread was in none of the functions above. */
+double seconds_in_steps(void)
+{
+    return in_steps;
+}
+
+/* Forget commands from now on, so that the host waits for none: the last queue was of the Context. */
+void drop_commands(void)
+{
+    object context;
+    cl_int error;
+    cl_int (*information)(object, cl_uint, size_t, void *, size_t *)
+        = (cl_int (*)(object, cl_uint, size_t, void *, size_t *)) find_opencl("clGetCommandQueueInfo");
+    information(last_queue, CL_QUEUE_CONTEXT, sizeof context, &context, NULL);
+    completed = ((object (*)(object, cl_int *)) find_opencl("clCreateUserEvent"))(context, &error);
+    ((cl_int (*)(object, cl_int)) find_opencl("clSetUserEventStatus"))(completed, CL_COMPLETE);
+    drops_commands = 1;
+}
+
 /* Wait until everything that was sent is done. This is not counted. */
 void finish_commands(void)
 {
     static cl_int (*own)(object);
     if (own == NULL)
-        own = (cl_int (*)(object)) find("clFinish");
+        own = (cl_int (*)(object)) find_opencl("clFinish");
     if (last_queue != NULL)
         own(last_queue);
 }

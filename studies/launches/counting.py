@@ -13,7 +13,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -150,13 +150,22 @@ def run(box: str, name: str, precision: str, seed: int, library: Path) -> dict[s
     Raises:
         OSError: the process failed, such as where OpenCL finds no device.
     """
+    return in_process(PROGRAM, [box, name, precision, str(seed)], library)
+
+
+def in_process(program: str, arguments: Sequence[str], library: Path) -> dict[str, Any]:
+    """Return the row of JSON that a program in Python prints, with OpenCL's runtime and the library that counts.
+
+    Raises:
+        OSError: it failed.
+    """
     environment = opencl.environment() | {"LD_PRELOAD": str(library), "OPENMM_CPU_THREADS": "1"}
-    command = [sys.executable, "-c", PROGRAM, box, name, precision, str(seed)]
+    command = [sys.executable, "-c", program, *arguments]
     process = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
     )
     if process.returncode:
-        raise OSError(f"counting {name} in {box} failed: {process.stderr.strip()[-2000:]}")
+        raise OSError(f"the case {' '.join(arguments)} failed: {process.stderr.strip()[-2000:]}")
     return json.loads(process.stdout.splitlines()[-1])
 
 

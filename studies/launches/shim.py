@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 SOURCE = Path(__file__).with_name("commands.c")
 
 #: The compiled library.
-LIBRARY = "commands.so"
+LIBRARY = f"{SOURCE.stem}.so"
 
 #: What C compilers are called.
 COMPILERS = ("cc", "gcc", "clang")
@@ -57,19 +57,19 @@ def compiler() -> str | None:
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
-def build(folder: Path) -> Path:
-    """Compile the library into a folder, and return its path.
+def build(folder: Path, source: Path = SOURCE) -> Path:
+    """Compile a library into a folder, and return its path.
 
     Raises:
         OSError: there is no C compiler, or it fails.
     """
     if (program := compiler()) is None:
         raise OSError(f"no C compiler is on the PATH, neither of {', '.join(COMPILERS)}, nor named by CC: install one")
-    path = folder.resolve() / LIBRARY
-    line = [program, "-O2", "-shared", "-fPIC", "-o", str(path), str(SOURCE), "-ldl", "-pthread"]
+    path = folder.resolve() / f"{source.stem}.so"
+    line = [program, "-O2", "-shared", "-fPIC", "-o", str(path), str(source), "-ldl", "-pthread"]
     process = subprocess.run(line, capture_output=True, text=True, check=False)
     if process.returncode:
-        raise OSError(f"{program} cannot compile {SOURCE.name}: {process.stderr}")
+        raise OSError(f"{program} cannot compile {source.name}: {process.stderr}")
     return path
 
 
@@ -85,7 +85,8 @@ class Shim:
         if not hasattr(self._library, "stop_counting"):
             raise OSError("this process was started without the library of commands.c in LD_PRELOAD")
         self._library.stop_counting.restype = ctypes.POINTER(_Struct)
-        self._library.seconds_in_opencl.restype = ctypes.c_double
+        for time_of in (self._library.seconds_in_opencl, self._library.seconds_in_steps):
+            time_of.restype = ctypes.c_double
 
     def counted(self, action: Callable[[], object]) -> list[Commands]:
         """Do something, and return the commands that it sends."""
@@ -122,6 +123,17 @@ class Shim:
             opencl = self._library.seconds_in_opencl() - opencl
             total = time.thread_time() - start
         return total - opencl - sum(within)
+
+    def host_time(self, action: Callable[[], object]) -> float:
+        """Do something, and return the time of steps within it outside of OpenMM's forces and of OpenCL, s."""
+        start = self._library.seconds_in_steps()
+        action()
+        return float(self._library.seconds_in_steps() - start)
+
+    def drop_commands(self) -> None:
+        """Forget all commands from now on, after at least one. The Context is of no use then."""
+        self.finish()
+        self._library.drop_commands()
 
     @contextmanager
     def _timed(self, owner: Any, name: str, within: list[float]) -> Iterator[None]:

@@ -31,6 +31,15 @@ SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"], "kernels": (0.0, 0.0)
 ROOM = 1.1
 
 
+def in_box(positions, molecules, box):
+    """Return positions (N, 3) with each molecule where OpenMM has it on GPUs, its mean position in the box, (3, 3)."""
+    found = positions.copy()
+    for atoms in molecules:
+        for edge in (2, 1, 0):
+            found[atoms] -= np.floor(found[atoms].mean(axis=0)[edge] / box[edge, edge]) * box[edge]
+    return found
+
+
 class View:
     """All that users see of a Context, without energies: OpenMM draws random numbers for those of CustomIntegrators.
 
@@ -142,7 +151,11 @@ class Run:
     @cached_property
     def start(self):
         """Positions (N, 3) in nm, with the images of the mixture in the box of the System."""
-        return self.built.positions + self.built.images @ (box_of(self.system) - box_of(self.built.plain))
+        positions = self.built.positions + self.built.images @ (box_of(self.system) - box_of(self.built.plain))
+        if self.name in HOST_PLATFORMS or not self.is_periodic:
+            return positions
+        # With the first step GPU platforms bring molecules into the box, which changes the energy of the pull.
+        return in_box(positions, self.molecules, box_of(self.system))
 
     @cached_property
     def pull(self):

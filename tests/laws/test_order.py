@@ -214,5 +214,7 @@ def test_errors_fall_with_the_order_of_the_scheme_on_gpu_platforms():
             "--examples",
             "3",
         ]
-        process = subprocess.run(command, capture_output=True, text=True, env=opencl.environment(), check=False)
+        process = subprocess.run(
+            command, capture_output=True, text=True, env=opencl.environment(optimizes=False), check=False
+        )
         assert process.returncode == 0, process.stdout + process.stderr[-2000:]

@@ -28,7 +28,7 @@ from tests.laws.runs import ROUNDING, Run, View, started
 from tests.support.waters import phase_point, plain_context
 
 #: nm and nm/ps: after a move that was not accepted. The exact engine writes the atoms of its bodies.
-STILL = {"exact": (1e-13, 1e-13), "native": (0.0, 0.0)}
+STILL = {"exact": (1e-13, 1e-13), "native": (0.0, 0.0), "kernels": (0.0, 0.0)}
 
 #: Number of steps after the last move.
 STEPS = 2

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from studies.launches import cases, counting, shim
+from studies.launches import cases, counting, host, shim
 from studies.launches.counting import OTHERS
 from studies.launches.shim import Commands
 from studies.launches.study import LaunchesSettings, study
@@ -73,13 +73,17 @@ def test_it_must_be_preloaded():
 # --- OpenMM ---
 
 
-@pytest.fixture(scope="module")
-def rows_of_step(tmp_path_factory):
-    """A function that counts a case, and gives the row of a step and its kernels by what they do."""
+def skip_without_opencl() -> None:
     if shim.compiler() is None:
         pytest.skip("there is no C compiler")
     if "OpenCL" not in opencl.gpu_platforms():
         pytest.skip("OpenMM has no OpenCL platform here: pip install 'openmm-sier[opencl-test]' brings it on the CPU")
+
+
+@pytest.fixture(scope="module")
+def rows_of_step(tmp_path_factory):
+    """A function that counts a case, and gives the row of a step and its kernels by what they do."""
+    skip_without_opencl()
     out = tmp_path_factory.mktemp("launches")
 
     def count(box: str, method: str) -> tuple[pd.Series, dict[str, float]]:
@@ -125,3 +129,16 @@ def test_a_trial_sends_numbers_alone(rows_of_step):
     assert step["copies"] == 0
     # Two for each drift: constraints, and the positions that follow from them.
     assert kernels["constraints, positions"] == 32
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(LIMIT)
+@pytest.mark.parametrize("method", ["langevinmiddle", "sier2"])
+def test_time_of_the_host(tmp_path, method):
+    """Steps without commands are timed, by OpenMM's integrator and by a program."""
+    skip_without_opencl()
+    settings = host.HostSettings(boxes=("tip3p-64",), methods=(method,), out=tmp_path)
+    (row,) = host.study(settings).tables["rows"].to_dict("records")
+    assert row["atoms"] == 3 * 64
+    assert 0 < row["host_low"] <= row["host"] <= row["host_high"]
+    assert row["busy"] > 0

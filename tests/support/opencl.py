@@ -1,10 +1,15 @@
 """GPU platforms of OpenMM that work here, of which OpenCL may run on the CPU."""
 
+import atexit
 import functools
+import os
+import shutil
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
-from studies.launches.opencl import environment
+from studies.launches import opencl, shim
 
 #: Prints the names of the platforms on which a Context can be made.
 PROBE = """
@@ -19,6 +24,41 @@ for i in range(openmm.Platform.getNumPlatforms()):
         continue
     print(platform.getName())
 """
+
+#: Keeps programs that OpenCL has compiled.
+PROGRAMS = Path(__file__).with_name("opencl_programs.c")
+
+#: Variable of options for OpenCL's compiler, which `PROGRAMS` adds, and the one without optimization: it takes half the
+#: time of a Context, and kernels of a few molecules take none.
+OPTIONS, PLAIN = "OPENMM_SIER_OPENCL_OPTIONS", "-cl-opt-disable"
+
+
+def environment(optimizes: bool = True) -> dict[str, str]:
+    """Return the environment in which Python must be started for OpenMM to find OpenCL on the CPU.
+
+    Where there is a C compiler, Contexts with the same kernels compile them once in a process.
+
+    Args:
+        optimizes: whether OpenCL optimizes them.
+    """
+    variables = opencl.environment() | {OPTIONS: "" if optimizes else PLAIN}
+    library = _kept_programs()
+    return variables if library is None else variables | {"LD_PRELOAD": str(library)}
+
+
+def has_environment() -> bool:
+    """Return whether this process has an environment of this module."""
+    return OPTIONS in os.environ
+
+
+@functools.cache
+def _kept_programs() -> Path | None:
+    """Return the library of `PROGRAMS`, which is there until this process ends; None without a compiler for Linux."""
+    if not sys.platform.startswith("linux") or shim.compiler() is None:
+        return None
+    folder = tempfile.mkdtemp(prefix="openmm-sier-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return shim.build(Path(folder), PROGRAMS)
 
 
 @functools.cache
