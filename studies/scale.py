@@ -5,16 +5,20 @@
 Each run is a process of its own, which reads a System, makes its Context and steps it, once with OpenMM's Verlet and
 once with SIER2 on the prepared System; both take turns. Times are of the processor, on the CPU platform, with compiled
 code that an earlier run left on disk; memory is the most that a process held, less what it held before it read the
-System. Each run is kept in scale.jsonl as soon as it is done. Writes scale.json and scale.png.
+System. A step after positions that are set, and after a checkpoint that is made or loaded, is timed with that call,
+and so is OpenMM's list of neighbours alone, which a step after a checkpoint makes anew. Each run is kept in scale.jsonl
+as soon as it is done. Writes scale.json and scale.png.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +48,12 @@ DAY = 86400.0
 #: What a user waits for before the first step has ended, in order.
 WAITS = ("prepare", "context", "velocities", "first")
 
+#: What may come before a step, and make it longer.
+CALLS = ("positions", "saved", "loaded")
+
+#: How far all atoms are moved so that OpenMM makes a new list of neighbours, nm.
+FAR = 1.0
+
 COLUMNS = text.columns("atoms", "method") | {
     "prepare_system/s": "{prepare_text}",
     "Context/s": "{context_text}",
@@ -52,6 +62,13 @@ COLUMNS = text.columns("atoms", "method") | {
     "a step/s": "{step_text}",
     "step over force": "{step_over_force:.2f}",
     "memory/MB": "{memory:.0f}",
+}
+
+AFTERWARDS = text.columns("atoms", "method") | {
+    "positions are set": "{positions_more:.2f}",
+    "a checkpoint is made": "{saved_more:.2f}",
+    "a checkpoint is loaded": "{loaded_more:.2f}",
+    "a list alone": "{list_forces:.2f}",
 }
 
 LOSSES = {
@@ -110,15 +127,36 @@ def measure(path: Path, method: str) -> dict[str, float]:
     timed("first", lambda: integrator.step(1))
     times["step"] = median_of(lambda: integrator.step(1))
     times["force"] = median_of(lambda: context.getState(forces=True))
-    return times | {"memory": memory("VmHWM") - before, "atoms": len(positions)}
+    held = memory("VmHWM") - before
+    return times | after_calls(context, integrator) | {"memory": held, "atoms": len(positions)}
 
 
-def median_of(action: Callable[[], Any]) -> float:
-    """Return the median processor time of an action in s."""
+def after_calls(context: openmm.Context, integrator: openmm.Integrator) -> dict[str, float]:
+    """Return the processor time of a step with each of `CALLS` before it, and of a list of neighbours, s."""
+    checkpoint, step = context.createCheckpoint(), partial(integrator.step, 1)
+    positions = context.getState(positions=True).getPositions(asNumpy=True)._value
+    times = {
+        "positions": median_of(lambda: context.setPositions(positions), step),
+        "saved": median_of(context.createCheckpoint, step),
+        "loaded": median_of(lambda: context.loadCheckpoint(checkpoint), step),
+    }
+    shifts = itertools.cycle((FAR, 0.0))
+
+    def move() -> None:
+        openmm.Context.setPositions(context, positions + next(shifts))
+
+    # OpenMM looks at its list at each request for forces, even of no group.
+    with_list = median_of(move, lambda: openmm.Context.getState(context, forces=True, groups=0))
+    return times | {"list": with_list - median_of(move)}
+
+
+def median_of(*actions: Callable[[], Any]) -> float:
+    """Return the median processor time of actions, one after the other, in s."""
     seconds = []
     for _ in range(REPEATS):
         start = time.process_time()
-        action()
+        for action in actions:
+            action()
         seconds.append(time.process_time() - start)
     return float(np.median(seconds))
 
@@ -167,10 +205,12 @@ def medians(runs: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (atoms, method), group in runs.groupby(["atoms", "method"], sort=False):
         row: dict[str, Any] = {"atoms": int(atoms), "method": method}
-        for name in (*WAITS, "step", "force", "memory"):
+        for name in (*WAITS, "step", "force", *CALLS, "list", "memory"):
             row[name], row[f"{name}_error"], _ = median_and_error(group[name].to_numpy(dtype=float))
         row["waits"], row["waits_error"], _ = median_and_error(group[list(WAITS)].sum(axis=1).to_numpy())
         row["step_over_force"] = row["step"] / row["force"]
+        row["list_forces"] = row["list"] / row["force"]
+        row |= {f"{name}_more": (row[name] - row["step"]) / row["force"] for name in CALLS}
         rows.append(row)
     return pd.DataFrame(rows).sort_values("atoms", kind="stable")
 
@@ -213,6 +253,7 @@ def study(settings: ScaleSettings, report: Report = SILENT) -> Record:
     tables = {"rows": rows, "losses": losses(rows, fresh(memory_of_code)), "runs": runs}
     record = Record(settings.shared(), tables, {})
     report.table("Before and in the first step", text.table(rows, COLUMNS))
+    report.table("A step after a call, in forces more than a step", text.table(rows, AFTERWARDS))
     report.table("Beside OpenMM", text.table(record.tables["losses"], LOSSES))
     record.write(settings.out / "scale.json")
     figure(record, settings.out / "scale.png")

@@ -22,6 +22,7 @@ from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.observe import openmm_integrators
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.preparation import prepare_system
+from openmm_sier.system import tables
 from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.system.molecules import make_whole
@@ -116,12 +117,11 @@ class SimulatedSystem:
             raise RunError(
                 f"{needed} requires a periodic box, and the input has none: give one by --edges, or in the files"
             )
-        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings = settings
-        whole, bodies = with_rigid_bodies(box, settings.rigid)
-        self.box = whole
-        self.bodies = bodies
-        preparation = prepare_system(box.system, self.bodies)
+        with tables.read_once():
+            note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
+            self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
+            preparation = prepare_system(box.system, self.bodies)
         self.fast = preparation.fastForceGroups
         if settings.hydrogen_mass is not None and settings.ensemble != "nve" and meshed_forces(box.system):
             # As prepare_system does where it sets the masses, which the System has already.

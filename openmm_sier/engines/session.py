@@ -17,7 +17,7 @@ from openmm_sier.engines import interrupts
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import Changes
 from openmm_sier.stability.runaway import RunawayWatch
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 
 #: Advances by at most so many steps of the integrator, at least one, and returns the number made. It stops early when
 #: the collection of pending signals becomes non-empty.
@@ -226,7 +226,7 @@ class Session:
             with self.changing(Changes.ATOMS):
                 by_openmm()
 
-        with self.changing(Changes.ATOMS):
+        with self.changing(Changes.ATOMS), tables.read_once():
             if self._engine is None:
                 by_openmm()
             else:

@@ -47,7 +47,7 @@ def take_over(context: openmm.Context, impl: IntegratorImpl) -> None:
     load_tally(impl.integrator, impl.tally)
     impl.tally.heat += installation.take_heat(context)
     impl.set_program_variables()
-    impl.session.changed(Changes.VARIABLES | Changes.ATOMS)
+    impl.session.changed(Changes.VARIABLES | Changes.ATOMS | Changes.HISTORY)
 
 
 def load_checkpoint(context: openmm.Context, impl: IntegratorImpl, load: Callable[[], None]) -> None:

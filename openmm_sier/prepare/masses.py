@@ -67,6 +67,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         masses[centre] = total - share * len(hydrogens)
         for atom in (centre, *hydrogens):
             system.setParticleMass(int(atom), float(masses[atom]))
+    tables.forget()
     if not counts:
         warn("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."

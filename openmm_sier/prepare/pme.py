@@ -180,6 +180,7 @@ def _by_rule(force: openmm.Force, edges: np.ndarray, split: Split) -> Sums:
     return Sums(math.sqrt(-math.log(2 * tolerance / split.direct_share)) / cutoff, mesh)
 
 
+@tables.read_once()
 def _is_better(force: openmm.Force, box: np.ndarray, split: Split) -> bool:
     """Return whether balanced sums are at least as accurate as OpenMM's, which follow the diagonal of the box vectors.
 

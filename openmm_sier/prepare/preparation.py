@@ -124,14 +124,12 @@ def prepare_system(
                 "hydrogenMass=…) before RigidBodies.from_system"
             )
         sentences = _balance(system, constant_energy=heavy is None)
-        for i in reversed(close_pairs.added_forces(system)):
-            system.removeForce(i)
-    # Bodies that have masses already are refused above.
-    if heavy is not None:
-        sentences.append(set_hydrogen_masses(system, heavy))
-        # The kinds of bodies have the new masses.
-        membership = _membership(system, bodies)
-    with tables.read_once():
+        _remove_added_forces(system)
+        # Bodies that have masses already are refused above.
+        if heavy is not None:
+            sentences.append(set_hydrogen_masses(system, heavy))
+            # The kinds of bodies have the new masses.
+            membership = _membership(system, bodies)
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
         sentences += _join(system, forces) + gathered
@@ -164,6 +162,14 @@ def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
     if not balance_pme(system, constant_energy):
         return ["The sums of PME stay as they are: the box is so empty that OpenMM's are more accurate."]
     return ["The sums of PME are balanced." if constant_energy else "The sums of PME are balanced for a heat bath."]
+
+
+def _remove_added_forces(system: openmm.System) -> None:
+    """Remove the Forces that an earlier preparation added."""
+    if added := close_pairs.added_forces(system):
+        for i in reversed(added):
+            system.removeForce(i)
+        tables.forget()
 
 
 def _join(system: openmm.System, forces: FastForces) -> list[str]:

@@ -75,6 +75,7 @@ def refuse_impossible_masses(system: openmm.System) -> None:
         )
 
 
+@tables.read_once()
 def refuse_sites_without_place(system: openmm.System) -> None:
     """Refuse massless particles that belong to a molecule with constraints but are no virtual sites of it.
 

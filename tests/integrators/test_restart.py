@@ -134,17 +134,17 @@ def test_restart_is_exact(tmp_path, box, way, label):
         assert 0 < whole.integrator.accepted < whole.integrator.trials
 
 
-def test_positions_from_outside_end_the_past(box):
-    """What follows depends on nothing but what the Context holds."""
+def test_a_checkpoint_ends_the_past(box):
+    """What follows depends on nothing but what was loaded."""
     _, system, point = box
+    checkpoint = context_at(system, MAKERS["SIER4"](), point, "CPU").createCheckpoint()
     ends = []
     for past in (0, 0.03):
         integrator = MAKERS["SIER4"]()
         # Nearer than the distance that makes OpenMM build another list.
         context = context_at(system, integrator, (point[0] + past, point[1]), "CPU")
         context.getState(energy=True)
-        context.setPositions(point[0])
-        context.setVelocities(point[1])
+        context.loadCheckpoint(checkpoint)
         integrator.step(20)
         ends.append(phase_point(context))
     assert_same(*ends)

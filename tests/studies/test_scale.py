@@ -10,7 +10,7 @@ from studies.records import Record
 
 def run(atoms, method, turn, first):
     """A run whose first step takes some seconds, and everything else a tenth of one."""
-    times = dict.fromkeys((*scale.WAITS, "step", "force"), 0.1)
+    times = dict.fromkeys((*scale.WAITS, "step", "force", *scale.CALLS, "list"), 0.1) | {"loaded": 0.3}
     return {"atoms": atoms, "method": method, "round": turn, **times, "first": first, "memory": 100.0 + 50 * first}
 
 
@@ -31,6 +31,9 @@ def test_medians_and_what_is_lost(runs):
     rows = scale.medians(runs)
     assert rows["atoms"].tolist() == [1, 1, 10, 10]
     assert rows["first"].tolist() == [1.2, 2.0, 12.0, 20.0]
+    assert np.allclose(rows["loaded_more"], 2.0)
+    assert np.allclose(rows["saved_more"], 0.0)
+    assert np.allclose(rows["list_forces"], 1.0)
     lost = scale.losses(rows, 10.0)
     # The other waits are the same for both.
     assert np.allclose(lost["lost"], [0.8, 8.0])
@@ -63,4 +66,4 @@ def test_what_is_measured_of_a_small_box(method, tmp_path):
     measured = scale.measure(box, method)
     assert measured["atoms"] == 1536
     assert (measured["prepare"] > 0) == (method == scale.OURS)
-    assert set(scale.WAITS) <= set(measured)
+    assert {*scale.WAITS, *scale.CALLS, "list"} <= set(measured)

@@ -125,7 +125,7 @@ class ExactEngine(PointVerbs):
             self.forces.take_positions(now)
         self._take_environment(now)
         self.forces.select(self._groups, self.method.fast_groups)
-        if self._remembers_list and (change is AtomChange.POSITIONS or Changes.HISTORY in self.changes):
+        if self._remembers_list and Changes.HISTORY in self.changes:
             neighbour_list.forget(self._context)
             self._forget_forces()
         self._calls = []

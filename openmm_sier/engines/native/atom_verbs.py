@@ -41,7 +41,11 @@ class AtomVerbs(Engine):
 
     @abstractmethod
     def _check_start(self) -> None:
-        """Check atoms that were moved, and let the next steps depend only on the contents of the Context."""
+        """Check atoms that were moved, and satisfy constraints."""
+
+    @abstractmethod
+    def _forget_list(self) -> None:
+        """Let forces no longer depend on where atoms were, see `neighbour_list`."""
 
     # --- the phase point: the atoms as OpenMM has them ---
 
@@ -115,6 +119,7 @@ class AtomVerbs(Engine):
         positions[massive] += shifts[:, owners[massive]].T
         atoms.write_positions(positions)
         self._check_start()
+        self._forget_list()
 
     def _centres(self, positions: np.ndarray) -> np.ndarray:
         """Return the centres of all that moves, (3, n), nm, at positions of particles, (N, 3), nm."""

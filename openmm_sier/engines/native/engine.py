@@ -121,6 +121,8 @@ class NativeEngine(AtomVerbs):
             self._potential = None
         if changes & (Changes.ATOMS | Changes.HISTORY):
             self._check_start()
+        if Changes.HISTORY in changes:
+            self._forget_list()
         if self._potential is not None:
             state = openmm.Context.getState(self._context, parameters=True)
             if Environment.of(state) != self._potential.environment:
@@ -128,15 +130,13 @@ class NativeEngine(AtomVerbs):
         self.changes = Changes.SETTINGS
 
     def _check_start(self) -> None:
-        """Check atoms that were moved, and let the next steps depend only on the contents of the Context."""
+        """Check atoms that were moved, and satisfy constraints."""
         self._potential = None
         self._velocities_changed()
         self._atoms.publish()
         now = Snapshot.of(self._context)
         now.refuse_what_is_not_finite()
         self.refuse_cut_molecules(now)
-        if self._remembers_list:
-            neighbour_list.forget(self._context)
         if len(self._constraints.pairs):
             self.solver_test.refuse(lambda: now.positions)
             satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
@@ -144,6 +144,10 @@ class NativeEngine(AtomVerbs):
             # OpenMM places them at the end of a step, and the first needs forces before that.
             self._context.computeVirtualSites()
         self._atoms.forget()
+
+    def _forget_list(self) -> None:
+        if self._remembers_list:
+            neighbour_list.forget(self._context)
 
     def _set_bath(self) -> None:
         set_bath(self._integrator, self.method.bath)
