@@ -27,6 +27,8 @@ from tests.laws import (
     test_refusals,
     test_requests,
     test_reversal,
+    test_symplectic,
+    test_updates,
     test_volume_moves,
 )
 from tests.laws.law import Broken, Law
@@ -37,12 +39,14 @@ MODULES = (
     test_order,
     test_damping,
     test_reversal,
+    test_symplectic,
     test_preparing,
     test_requests,
     test_future,
     test_completed_steps,
     test_energies,
     test_volume_moves,
+    test_updates,
     test_averages,
     test_readers,
     test_refusals,
