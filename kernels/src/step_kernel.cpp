@@ -85,13 +85,14 @@ void StepKernel::release() {
 }
 
 void StepKernel::initialize(const System& system, const CustomIntegrator& integrator) {
-    own().initialize(system, integrator);
     program = findProgram(&integrator);
+    // OpenMM's kernel lets it find molecules, which are those that it moves together from then on.
+    if (program != nullptr && !program->bodies.empty())
+        cc.addForce(new BodyInfo(program));
+    own().initialize(system, integrator);
     if (program == nullptr)
         return;
     ContextSelector selector(cc);
-    if (!program->bodies.empty())
-        cc.addForce(new BodyInfo(program));
     makeArrays();
     program->areScalarsNew = true;
     program->kernel = this;

@@ -131,6 +131,28 @@ def test_energy_is_conserved_where_atoms_are_reordered():
     assert np.ptp(np.linalg.norm(x[:, 1] - x[:, 0], axis=1)) < 1e-12
 
 
+def test_named_bodies_stay_whole_where_atoms_are_reordered():
+    """Pairs that nothing but their names joins, which cross a box in 300 steps; OpenMM orders molecules after 250."""
+    edge, length, pairs = 2.0, 0.15, 20
+    force = openmm.CustomNonbondedForce("0")
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(0.5)
+    for _ in range(2 * pairs):
+        force.addParticle()
+    system = assembled((12.0,) * (2 * pairs), force)
+    system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
+    first = edge * np.random.default_rng(1).random((pairs, 1, 3))
+    positions = (first + np.array([[0, 0, 0], [length, 0, 0]])).reshape(-1, 3)
+    named = np.arange(2 * pairs).reshape(-1, 2).tolist()
+    bodies = RigidBodies.from_system(system, None, named, positions)
+    integrator = SIERIntegrator(0.01, SIER2, bodies=bodies, engine="kernels")
+    context = context_on(system, integrator, (positions, 0 * positions))
+    context.setVelocitiesToTemperature(1000, 1)
+    integrator.step(300)
+    x = phase_point(context)[0].reshape(-1, 2, 3)
+    assert np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == pytest.approx(length, abs=1e-12)
+
+
 # --- baths ---
 
 #: Number of molecules in a field, and the field times their dipole over kT.

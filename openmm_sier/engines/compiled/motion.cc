@@ -61,7 +61,10 @@ DEVICE mixed3 positionOf(POSITIONS, int i) {
 #endif
 }
 
+// Where a position is not a number, OpenMM's kernels would write beyond their arrays. Its velocity shows that it is lost.
 DEVICE void putPosition(POSITIONS, int i, mixed3 x) {
+    if (!(dot(x, x) < NUMBER(1e30)))
+        return;
     posq[i] = make_real4((real) x.x, (real) x.y, (real) x.z, posq[i].w);
 #ifdef USE_MIXED_PRECISION
     posqCorrection[i] = make_real4(x.x - (real) x.x, x.y - (real) x.y, x.z - (real) x.z, 0);
