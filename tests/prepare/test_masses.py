@@ -10,7 +10,8 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies, prepare_system
 from openmm_sier.prepare.close_pairs import NAME
-from openmm_sier.system.tables import HEAVIEST_IN_CHAINS, masses
+from openmm_sier.prepare.masses import set_hydrogen_masses
+from openmm_sier.system.tables import HEAVIEST_IN_CHAINS, masses, read_once
 from tests.support.peptides import capped_alanine_box
 from tests.support.waters import cluster_system
 
@@ -171,3 +172,11 @@ def test_masses_that_are_refused(alanine, mass):
     with pytest.raises(ValueError, match="before RigidBodies"):
         prepare_system(system, RigidBodies.from_system(system), hydrogenMass=4)
     assert openmm.XmlSerializer.serialize(system) == before
+
+
+def test_masses_that_were_read_are_read_again():
+    _, _, system = cluster_system(2)
+    with read_once():
+        before = masses(system)
+        set_hydrogen_masses(system, 4.0)
+        assert not np.array_equal(masses(system), before)
