@@ -27,6 +27,7 @@ from tests.laws import (
     test_refusals,
     test_requests,
     test_reversal,
+    test_updates,
     test_volume_moves,
 )
 from tests.laws.law import Broken, Law
@@ -43,6 +44,7 @@ MODULES = (
     test_completed_steps,
     test_energies,
     test_volume_moves,
+    test_updates,
     test_averages,
     test_readers,
     test_refusals,

@@ -109,6 +109,20 @@ class InterruptedStep(Action):
 # --- atoms ------------------------------------------------------------------------------------------------------------
 
 
+def assert_drawn(run, before, after, temperature):
+    """Assert that all velocities were drawn: those that bodies and constraints allow, and as many as freedoms."""
+    projected = run.projected(after)
+    massive = run.masses > 0
+    kept = (after.velocities == before.velocities).all(axis=1) & massive
+    assert run.repeats or not kept.any(), f"velocities of atoms {np.flatnonzero(kept)} are those of before"
+    excess = np.abs(projected - after.velocities)[massive].max()
+    assert excess < ALLOWED, f"{excess:.1e} nm/ps are not allowed"
+    energy = 2 * run.kinetic_energy(after) / (GAS_CONSTANT * temperature)
+    # Twice the kinetic energy in kT has the chi-square distribution.
+    low, high = 2 * gammaincinv(run.freedoms(after) / 2, [CHANCE, 1 - CHANCE])
+    assert low <= energy <= high, f"twice the kinetic energy is {energy} kT, not from {low} to {high}"
+
+
 @dataclass(frozen=True)
 class DrawVelocities(Action):
     temperature: float
@@ -120,17 +134,7 @@ class DrawVelocities(Action):
 
     def shows(self, run, before, after):
         assert np.array_equal(after.positions, before.positions)
-        # Velocities are those that bodies and constraints allow, and as many of them as there are freedoms.
-        projected = run.projected(after)
-        massive = run.masses > 0
-        kept = (after.velocities == before.velocities).all(axis=1) & massive
-        assert run.repeats or not kept.any(), f"velocities of atoms {np.flatnonzero(kept)} are those of before"
-        excess = np.abs(projected - after.velocities)[massive].max()
-        assert excess < ALLOWED, f"{excess:.1e} nm/ps are not allowed"
-        energy = 2 * run.kinetic_energy(after) / (GAS_CONSTANT * self.temperature)
-        # Twice the kinetic energy in kT has the chi-square distribution.
-        low, high = 2 * gammaincinv(run.freedoms(after) / 2, [CHANCE, 1 - CHANCE])
-        assert low <= energy <= high, f"twice the kinetic energy is {energy} kT, not from {low} to {high}"
+        assert_drawn(run, before, after, self.temperature)
 
 
 @dataclass(frozen=True)

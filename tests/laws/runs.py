@@ -83,6 +83,7 @@ class Run:
     Attributes:
         mixture, method, name: of which it is made: Systems, integrator and platform.
         settings: setters of the integrator that were called and their arguments.
+        added: functions that make further Forces of the System.
         saved: what was saved, for later.
         hardness: factor on the constants of bonds.
         drawn, repeats: the last action that drew velocities, and whether it was the one before too.
@@ -93,6 +94,7 @@ class Run:
         self.method = method
         self.name = name
         self.settings = list(settings)
+        self.added = tuple(forces)
         self.saved = []
         self.hardness = 1.0
         self.drawn = None
@@ -175,7 +177,7 @@ class Run:
 
     def twin(self, settings=None):
         """Return a new run of the same mixture and method, with the same settings from the start."""
-        return Run(self.mixture, self.method, self.name, self.settings if settings is None else settings)
+        return Run(self.mixture, self.method, self.name, self.settings if settings is None else settings, self.added)
 
     def at_same_view(self):
         """Return a new run that users cannot distinguish from this one, but for the random numbers to come."""

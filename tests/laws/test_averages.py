@@ -20,7 +20,8 @@ from tests.laws.exact_models import Chains, FastBonds, Quartics, Wells
 from tests.laws.exact_motions import MOTIONS, Driven, Held
 from tests.laws.law import MANY, Law
 from tests.laws.linear_maps import in_bath, is_stable
-from tests.laws.sampling import BRIEF, LONG, Bath, Length, Rescaling, Sampler, Series, Trials
+from tests.laws.samplers import Bath, Rescaling, Sampler, Trials
+from tests.laws.sampling import BRIEF, LONG, Length, Series
 
 
 @dataclass(frozen=True)
