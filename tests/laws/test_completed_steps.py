@@ -226,12 +226,14 @@ class Threads:
 
         def act() -> None:
             signal.raise_signal(getattr(signal, self.event.what))
-            thread = threading.Thread(target=other.integrator.step, args=(2,))
+            thread = threading.Thread(target=end, args=(other, 2))
             thread.start()
             thread.join(60)
 
         with handling(self.event.what, observer.handler("look")), probe.armed(self.event.force, act):
-            run.integrator.step(DISTURBED)
+            # A volume move may end a run where the box becomes too small.
+            if end(run, DISTURBED):
+                reject()
         found = {thread.name for thread in observer.threads} - {threading.main_thread().name}
         assert not found, f"the handler was called by {found}"
 
