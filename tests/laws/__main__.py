@@ -27,6 +27,7 @@ from tests.laws import (
     test_refusals,
     test_requests,
     test_reversal,
+    test_symplectic,
     test_updates,
     test_volume_moves,
 )
@@ -38,6 +39,7 @@ MODULES = (
     test_order,
     test_damping,
     test_reversal,
+    test_symplectic,
     test_preparing,
     test_requests,
     test_future,

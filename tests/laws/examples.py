@@ -18,7 +18,7 @@ from tests.laws.actions import (
 )
 from tests.laws.methods import method
 from tests.laws.mixtures import Mixture
-from tests.laws.molecules import Body, Chain, Water, WithSite
+from tests.laws.molecules import Body, Chain, Jointed, Water, WithSite
 
 #: Methods by which every setter is tried.
 SIMPLE = [
@@ -60,4 +60,6 @@ WITH_BODIES = {
     "held": Mixture(
         (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
     ),
+    # Bodies alone hold together what bonds do not.
+    "joining": Mixture((Jointed("bent", 1, "pair"), Jointed("line")), 0, "cut-off"),
 }

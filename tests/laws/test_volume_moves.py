@@ -182,6 +182,9 @@ KINDS = [
     method("SIERThermostatIntegrator", temperature=300.0, rate=0.0, every=1, stepSize=0.001),
 ]
 
+#: Engines, and mixtures of `WITH_BODIES`.
+VOLUMES = [("exact", "named"), ("exact", "joining"), ("native", "held"), ("native", "free")]
+
 LAW = Law("moves", cases, few=12)
 
 
@@ -191,7 +194,7 @@ def test_volume_moves_are_those_of_metropolis(examples):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
-@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("native", "held"), ("native", "free")])
+@pytest.mark.parametrize(("engine", "bodies"), VOLUMES)
 def test_each_volume_move_is_that_of_metropolis(kind, engine, bodies):
     asked = replace(kind, engine=engine).having(pressure=1e3, barostatInterval=1)
     VolumeMoves(replace(WITH_BODIES[bodies], crossing=True), asked, EVERY_MOVE).check()
