@@ -43,6 +43,7 @@ class Damping:
         turning: friction of rotation, 1/ps; None: the same.
         platform: name of the platform.
         engines: names of those that are tried, of which the native one has one friction.
+        by_axes: whether the exact engine gets the frictions for each axis.
     """
 
     mixture: Mixture
@@ -51,6 +52,7 @@ class Damping:
     turning: float | None = None
     platform: str = "Reference"
     engines: tuple[str, ...] = ("exact", "native")
+    by_axes: bool = False
 
     def check(self) -> None:
         built = self.mixture.build()
@@ -78,12 +80,15 @@ class Damping:
     def _end(self, engine: str, oracle: Oracle, step: float) -> End:
         """Return the end of a run from the start of the oracle."""
         built = self.mixture.build()
+        frictions = [self.friction, self.turning]
+        if self.by_axes and engine == "exact":
+            frictions = [None if each is None else {"default": (each, each, each)} for each in frictions]
         integrator = SIERLangevinIntegrator(
             0.0,
-            self.friction,
+            frictions[0],
             step,
             self.scheme,
-            rotationalFriction=self.turning,
+            rotationalFriction=frictions[1],
             bodies=built.bodies,
             engine=engine,
             countsHeat=True,
@@ -105,7 +110,8 @@ def cases(draw: st.DrawFn, platform: str) -> Damping:
     # Without vibrations, whose errors are larger, heat shows what constraints leave of velocities.
     mixture = draw(st.one_of(mixtures_without_vibrations(named), mixtures(("vacuum",), ("no",), named)))
     scheme = draw(st.one_of(st.just("sier2"), st.sampled_from(list(CATALOGUE))))
-    return Damping(replace(mixture, remover=0), scheme, draw(st.sampled_from([200.0, 50.0])), turning, platform)
+    friction, by_axes = draw(st.sampled_from([200.0, 50.0])), draw(st.sampled_from([False, True]))
+    return Damping(replace(mixture, remover=0), scheme, friction, turning, platform, by_axes=by_axes)
 
 
 LAW = Law("damping", cases, few=15)
