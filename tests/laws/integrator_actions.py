@@ -11,6 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.actions import Action
 from tests.laws.runs import REFUSALS, names
 from tests.support.waters import plain_context
@@ -114,6 +115,9 @@ class Ask(Action):
         if self.name == "energies":
             # OpenMM draws random numbers for the kinetic energy of a CustomIntegrator.
             return not run.method.draws_from_openmm
+        if self.name == "own values":
+            # The native engine brings positions that are set onto the constraints.
+            return run.method.engine == "exact" and run.name in HOST_PLATFORMS
         return self.name in QUESTIONS or hasattr(type(run.integrator), self.name)
 
     def act(self, run):
@@ -176,6 +180,7 @@ QUESTIONS = {
         run.context.getParameter(name) for force in run.system.getForces() for name in names(force)
     ],
     "molecules": lambda run: run.context.getMolecules(),
+    "own values": lambda run: run.view().show_in(run.context),
 }
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.laws.action_strategies import actions, setters_of
 from tests.laws.actions import Action, Step
 from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
-from tests.laws.integrator_actions import Ask, Set, questions, setters, values_of
+from tests.laws.integrator_actions import QUESTIONS, Ask, Set, questions, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures, moved
@@ -175,7 +175,7 @@ def test_what_is_asked_for_is_there(examples):
 @pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("exact", "held"), ("native", "held")])
 def test_every_change_shows_between_steps(engine, bodies):
     asked = tuple(action for change in EVERY_CHANGE for action in (Step(2), change))
-    asked += tuple(Ask(name) for name in questions(SIMPLE[0].cls))
+    asked += tuple(Ask(name) for name in (*QUESTIONS, *questions(SIMPLE[0].cls)))
     # A CMMotionRemover acts in some of these steps.
     Requests(replace(WITH_BODIES[bodies], remover=3), replace(SIMPLE[0], engine=engine), asked).check()
 
