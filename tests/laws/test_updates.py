@@ -19,7 +19,9 @@ from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import SURROUNDINGS, Mixture, is_frozen
+from tests.laws.molecules import Ion
 from tests.laws.runs import ROUNDING, end, started
+from tests.support.faults import lines_run
 from tests.support.seeded import seeded
 
 #: Steps from one move of a barostat to the next. A new Context begins to count where it has just acted.
@@ -70,6 +72,27 @@ class Moved:
 
 
 @dataclass(frozen=True)
+class Undone(Moved):
+    """An interrupt in a step before which the barostat moved the box: the step is completed, or nothing has moved.
+
+    Attributes:
+        line: of the package at which it comes, counted from the beginning of the call.
+    """
+
+    line: int = 1
+
+    def check(self) -> None:
+        run = started(self.mixture, replace(self.method, engine="exact"), self.platform, [self._force])
+        if end(run, 2 * EVERY - 1):
+            reject()
+        before = run.view()
+        lines_run(lambda: run.integrator.step(1), self.line, KeyboardInterrupt)
+        after = run.view()
+        if after.steps == before.steps:
+            after.assert_near(before, 1e-13)
+
+
+@dataclass(frozen=True)
 class Hit:
     """A run without a CMMotionRemover, all of whose atoms a thermostat hits in a step."""
 
@@ -89,13 +112,15 @@ class Hit:
 
 
 @st.composite
-def cases(draw: st.DrawFn, platform: str) -> Moved | Hit:
+def cases(draw: st.DrawFn, platform: str) -> Moved | Undone | Hit:
     """Draw a mixture and a method without random numbers, whose bodies constraints hold."""
     way, seed = draw(methods(("SIERIntegrator",))), draw(st.integers(1, 99))
     if draw(st.sampled_from([False, False, True])):
         return Hit(replace(draw(mixtures(named=False)), remover=0), way, seed, platform)
-    mixture = draw(mixtures(SURROUNDINGS[1:], named=False).filter(lambda each: not is_frozen(each)))
-    return Moved(mixture, way, draw(st.sampled_from(list(BAROSTATS))), seed, platform)
+    mixture, barostat = draw(mixtures(SURROUNDINGS[1:], named=False)), draw(st.sampled_from(list(BAROSTATS)))
+    if is_frozen(mixture) or draw(st.sampled_from([False, False, True])):
+        return Undone(mixture, way, barostat, seed, platform, draw(st.integers(1, 300)))
+    return Moved(mixture, way, barostat, seed, platform)
 
 
 LAW = Law("updates", cases, few=8)
@@ -116,3 +141,8 @@ def test_forces_follow_the_box(engine, bodies, barostat):
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_velocities_that_are_drawn_are_those_of_the_step(engine):
     Hit(WITH_BODIES["held"], replace(SIMPLE[0], engine=engine)).check()
+
+
+@pytest.mark.parametrize("line", [60, 105, 150, 200])
+def test_a_step_that_is_undone_leaves_no_atom_elsewhere(line):
+    Undone(Mixture((Ion(), Ion(frozen=True)), 0, "cut-off"), SIMPLE[0], line=line).check()
