@@ -193,7 +193,8 @@ def rescalings(draw):
     pressure = draw(pressures)
     named = engine == "exact" and pressure != "barostat"
     free = Free(draw(shapes), named and draw(st.booleans()), 0.1)
-    oscillation = 0.3 * CATALOGUE[scheme].stability_limit
+    # Half a period is near 3 or 10 such steps of no scheme: potential energies would stay as they are.
+    oscillation = 0.26 * CATALOGUE[scheme].stability_limit
     held = draw(types(oscillation, 0.1)) if engine == "exact" else free
     kinds = (free,) if pressure else (draw(chosen(Wells(12.0, oscillation), free, held)),)
     rate, every = draw(chosen(0.1, 0.03)), draw(chosen(3, 1, 10))
