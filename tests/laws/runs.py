@@ -27,6 +27,13 @@ ROUNDING = {"exact": (1e-10, 1e-7), "native": (1e-8, 1e-5), "kernels": (1e-10, 1
 #: The same for the same steps in another number of calls, or of settings before and after a Context is made.
 SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"], "kernels": (0.0, 0.0)}
 
+#: The same on the CPU platform with another list of neighbours: forces of single precision are good to 1e-3 kJ/mol/nm,
+#: which displace a hydrogen by 1e-8 nm in five steps.
+WITH_ANOTHER_LIST = (1e-8, 1e-5)
+
+#: Such a minimization ends up to some steps of its line search elsewhere.
+MINIMIZED_WITH_ANOTHER_LIST = (1e-6, 1e-3)
+
 #: Factor on the edges of boxes.
 ROOM = 1.1
 
