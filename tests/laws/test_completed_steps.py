@@ -165,8 +165,8 @@ class Interruption:
             # OpenMM's own steps are left where an error occurred.
             reject()
         undisturbed = Undisturbed(self.mixture, self.method, self.platform)
-        if self.platform == "CPU" and event.reply == "save":
-            # A checkpoint ends the past, on which the last bits of forces depend there.
+        if self.platform == "CPU":
+            # Checkpoints and steps that are undone leave another past, on which the last bits of forces depend there.
             undisturbed.tolerances = WITH_ANOTHER_LIST
         run, probe = probed(self.mixture, undisturbed.method, self.platform)
         observer = Observer(run)
