@@ -133,7 +133,8 @@ def measure(path: Path, method: str) -> dict[str, float]:
 
 def after_calls(context: openmm.Context, integrator: openmm.Integrator) -> dict[str, float]:
     """Return the processor time of a step with each of `CALLS` before it, and of a list of neighbours, s."""
-    checkpoint, step = context.createCheckpoint(), partial(integrator.step, 1)
+    checkpoint = context.createCheckpoint()
+    step = partial(integrator.step, 1)
     positions = context.getState(positions=True).getPositions(asNumpy=True)._value
     times = {
         "positions": median_of(lambda: context.setPositions(positions), step),

@@ -139,9 +139,8 @@ def draw(runs: Runs, path: Path) -> None:
         size = WIDTH, HEIGHT_OF_PANEL * len(drawn) + HEIGHT_OF_TITLE
         figure = Figure(figsize=size, layout="constrained")
         # Lines end at commas, so that a number stays with its unit.
-        parts = runs.title.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
-        title = textwrap.fill(parts, LETTERS)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=17, fontweight="bold")
+        title = runs.title.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+        figure.suptitle(textwrap.fill(title, LETTERS), x=0.01, ha="left", fontsize=17, fontweight="bold")
         axes = figure.subplots(len(drawn), 1, squeeze=False, sharex=True)[:, 0]
         for panel, place in zip(drawn, axes, strict=True):
             _draw_panel(place, runs, panel)

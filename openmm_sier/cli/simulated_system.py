@@ -120,7 +120,9 @@ class SimulatedSystem:
         self.settings = settings
         with tables.read_once():
             note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
-            self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
+            whole, bodies = with_rigid_bodies(box, settings.rigid)
+            self.box = whole
+            self.bodies = bodies
             preparation = prepare_system(box.system, self.bodies)
         self.fast = preparation.fastForceGroups
         if settings.hydrogen_mass is not None and settings.ensemble != "nve" and meshed_forces(box.system):

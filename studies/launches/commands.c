@@ -6,21 +6,9 @@
  * make steps: so the time is known that the host spends on a step beside forces and OpenCL. `shim.py` compiles this
  * file and calls the functions at its end.
  */
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <pthread.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
+#include "opencl.h"
 #include <time.h>
 
-/* As in OpenCL's headers, which need not be installed. Queues, kernels, buffers and events are pointers. */
-typedef int32_t cl_int;
-typedef uint32_t cl_uint;
-typedef uint32_t cl_bool;
-typedef uint64_t cl_map_flags;
-typedef void *object;
 #define CL_KERNEL_FUNCTION_NAME 0x1190
 #define CL_QUEUE_CONTEXT 0x1090
 #define CL_COMPLETE 0
@@ -51,23 +39,6 @@ static __thread double entered, elsewhere, in_steps;
 /* Whether commands are forgotten, and an event that is complete. */
 static int drops_commands;
 static object completed;
-
-/* The function of a name of a library. */
-static void *find(const char *name, const char *file)
-{
-    void *library = dlopen(file, RTLD_NOW);
-    void *found = library == NULL ? NULL : dlsym(library, name);
-    if (found == NULL) {
-        fprintf(stderr, "%s has no %s\n", file, name);
-        abort();
-    }
-    return found;
-}
-
-static void *find_opencl(const char *name)
-{
-    return find(name, "libOpenCL.so.1");
-}
 
 static double time_by(clockid_t clock)
 {
@@ -130,6 +101,7 @@ static void note(const char *kind, const char *kernel, int is_blocking, size_t b
     static type (*own) parameters;                                                                                     \
     if (own == NULL)                                                                                                   \
         own = (type (*) parameters) find_opencl(#name);                                                                \
+    enter();                                                                                                           \
     double start = time_by(CLOCK_THREAD_CPUTIME_ID);                                                                   \
     type result = own arguments;                                                                                       \
     seconds += time_by(CLOCK_THREAD_CPUTIME_ID) - start;                                                               \
@@ -141,7 +113,6 @@ cl_int clEnqueueNDRangeKernel(object queue, object kernel, cl_uint dimensions, c
 {
     if (is_dropped(event))
         return 0;
-    enter();
     last_queue = queue;
     if (is_counting) {
         static cl_int (*information)(object, cl_uint, size_t, void *, size_t *);
@@ -162,7 +133,6 @@ cl_int clEnqueueReadBuffer(object queue, object buffer, cl_bool is_blocking, siz
 {
     if (!is_blocking && is_dropped(event))
         return 0;
-    enter();
     note("read", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueReadBuffer,
             (object, object, cl_bool, size_t, size_t, void *, cl_uint, const object *, object *),
@@ -174,7 +144,6 @@ cl_int clEnqueueWriteBuffer(object queue, object buffer, cl_bool is_blocking, si
 {
     if (is_dropped(event))
         return 0;
-    enter();
     note("write", "", is_blocking != 0, bytes);
     PASS_ON(cl_int, clEnqueueWriteBuffer,
             (object, object, cl_bool, size_t, size_t, const void *, cl_uint, const object *, object *),
@@ -186,7 +155,6 @@ cl_int clEnqueueCopyBuffer(object queue, object from, object to, size_t from_off
 {
     if (is_dropped(event))
         return 0;
-    enter();
     note("copy", "", 0, bytes);
     PASS_ON(cl_int, clEnqueueCopyBuffer,
             (object, object, object, size_t, size_t, size_t, cl_uint, const object *, object *),
@@ -196,7 +164,6 @@ cl_int clEnqueueCopyBuffer(object queue, object from, object to, size_t from_off
 void *clEnqueueMapBuffer(object queue, object buffer, cl_bool is_blocking, cl_map_flags flags, size_t offset,
                          size_t bytes, cl_uint n, const object *after, object *event, cl_int *error)
 {
-    enter();
     note("map", "", is_blocking != 0, bytes);
     PASS_ON(void *, clEnqueueMapBuffer,
             (object, object, cl_bool, cl_map_flags, size_t, size_t, cl_uint, const object *, object *, cl_int *),
@@ -205,14 +172,12 @@ void *clEnqueueMapBuffer(object queue, object buffer, cl_bool is_blocking, cl_ma
 
 cl_int clFinish(object queue)
 {
-    enter();
     note("wait", "", 1, 0);
     PASS_ON(cl_int, clFinish, (object), (queue));
 }
 
 cl_int clWaitForEvents(cl_uint n, const object *events)
 {
-    enter();
     note("wait", "", 1, 0);
     PASS_ON(cl_int, clWaitForEvents, (cl_uint, const object *), (n, events));
 }
@@ -223,7 +188,6 @@ cl_int clSetKernelArg(object kernel, cl_uint index, size_t size, const void *val
 {
     if (is_dropped(NULL))
         return 0;
-    enter();
     PASS_ON(cl_int, clSetKernelArg, (object, cl_uint, size_t, const void *), (kernel, index, size, value));
 }
 
@@ -231,7 +195,6 @@ cl_int clRetainCommandQueue(object queue)
 {
     if (is_dropped(NULL))
         return 0;
-    enter();
     PASS_ON(cl_int, clRetainCommandQueue, (object), (queue));
 }
 
@@ -239,7 +202,6 @@ cl_int clReleaseCommandQueue(object queue)
 {
     if (is_dropped(NULL))
         return 0;
-    enter();
     PASS_ON(cl_int, clReleaseCommandQueue, (object), (queue));
 }
 

@@ -32,7 +32,7 @@ from tests.laws import (
     test_volume_moves,
 )
 from tests.laws.law import Broken, Law
-from tests.support import opencl
+from tests.support import kernels, opencl
 
 #: All laws by their names.
 MODULES = (
@@ -72,6 +72,9 @@ def main() -> int:
         # OpenMM looks for its runtime when Python starts.
         command = [sys.executable, "-m", "tests.laws", *sys.argv[1:]]
         return subprocess.run(command, env=opencl.environment(optimizes=False), check=False).returncode
+    if asked.engine == "kernels" and not kernels.are_here():
+        print(kernels.MISSING, file=sys.stderr)
+        return 2
     warnings.simplefilter("ignore")
     end, tried = time.monotonic() + 60 * asked.minutes, dict.fromkeys(asked.law, 0)
     broken: set[str] = set()

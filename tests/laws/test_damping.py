@@ -80,15 +80,13 @@ class Damping:
     def _end(self, engine: str, oracle: Oracle, step: float) -> End:
         """Return the end of a run from the start of the oracle."""
         built = self.mixture.build()
-        frictions = [self.friction, self.turning]
-        if self.by_axes and engine == "exact":
-            frictions = [None if each is None else {"default": (each, each, each)} for each in frictions]
+        by_axes = self.by_axes and engine == "exact"
         integrator = SIERLangevinIntegrator(
             0.0,
-            frictions[0],
+            along_axes(self.friction) if by_axes else self.friction,
             step,
             self.scheme,
-            rotationalFriction=frictions[1],
+            rotationalFriction=along_axes(self.turning) if by_axes else self.turning,
             bodies=built.bodies,
             engine=engine,
             countsHeat=True,
@@ -102,6 +100,11 @@ class Damping:
         return End(phase_point(context)[0], integrator.countedHeat)
 
 
+def along_axes(friction: float | None) -> dict[str, tuple[float, float, float]] | None:
+    """Return a friction of all bodies, the same along each axis."""
+    return None if friction is None else {"default": (friction, friction, friction)}
+
+
 @st.composite
 def cases(draw: st.DrawFn, platform: str) -> Damping:
     """Draw a mixture in vacuum that is not prepared, and a bath, above all one in the middle of a drift."""
@@ -110,7 +113,8 @@ def cases(draw: st.DrawFn, platform: str) -> Damping:
     # Without vibrations, whose errors are larger, heat shows what constraints leave of velocities.
     mixture = draw(st.one_of(mixtures_without_vibrations(named), mixtures(("vacuum",), ("no",), named)))
     scheme = draw(st.one_of(st.just("sier2"), st.sampled_from(list(CATALOGUE))))
-    friction, by_axes = draw(st.sampled_from([200.0, 50.0])), draw(st.sampled_from([False, True]))
+    friction = draw(st.sampled_from([200.0, 50.0]))
+    by_axes = draw(st.sampled_from([False, True]))
     return Damping(replace(mixture, remover=0), scheme, friction, turning, platform, by_axes=by_axes)
 
 

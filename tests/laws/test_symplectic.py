@@ -71,12 +71,15 @@ class Symplectic:
 
         Each is of the shape (2, N, 3).
         """
-        (x, v), roots = phase_point(run.context), np.sqrt(run.masses)[:, None]
-        rng, result = np.random.default_rng([self.mixture.seed, draw]), []
+        x, v = phase_point(run.context)
+        roots = np.sqrt(run.masses)[:, None]
+        rng = np.random.default_rng([self.mixture.seed, draw])
         view = run.view()
+        result = []
         for _ in range(2):
             view.velocities = SMALL * np.divide(rng.normal(size=x.shape), roots, out=np.zeros_like(x), where=roots > 0)
-            change, ends = run.projected(view), []
+            change = run.projected(view)
+            ends = []
             for sign in (1, -1):
                 run.context.setPositions(x)
                 run.context.setVelocities(v + sign * change)

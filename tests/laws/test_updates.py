@@ -27,11 +27,18 @@ from tests.support.seeded import seeded
 #: Steps from one move of a barostat to the next. A new Context begins to count where it has just acted.
 EVERY = 3
 
-#: Moves of a barostat, of which the box has room for all. One to a larger volume is refused at `PRESSURE`, bar.
-MOVES, PRESSURE = 6, 3e4
+#: Moves of a barostat, of which the box has room for all.
+MOVES = 6
 
-#: K; ps and 1/ps: in so short a step nothing moves, and each atom is hit.
-HOT, INSTANT, HITS = 1000.0, 1e-7, 1e12
+#: bar: a move to a larger volume is refused.
+PRESSURE = 3e4
+
+#: Temperature of a thermostat that draws all velocities, K.
+HOT = 1000.0
+
+#: Step in which nothing moves, ps, and the rate at which each atom is hit in it, 1/ps.
+INSTANT = 1e-7
+HITS = 1e12
 
 #: Barostats that scale the centres of molecules, each with the pressure as arguments.
 BAROSTATS = {
@@ -114,10 +121,12 @@ class Hit:
 @st.composite
 def cases(draw: st.DrawFn, platform: str) -> Moved | Undone | Hit:
     """Draw a mixture and a method without random numbers, whose bodies constraints hold."""
-    way, seed = draw(methods(("SIERIntegrator",))), draw(st.integers(1, 99))
+    way = draw(methods(("SIERIntegrator",)))
+    seed = draw(st.integers(1, 99))
     if draw(st.sampled_from([False, False, True])):
         return Hit(replace(draw(mixtures(named=False)), remover=0), way, seed, platform)
-    mixture, barostat = draw(mixtures(SURROUNDINGS[1:], named=False)), draw(st.sampled_from(list(BAROSTATS)))
+    mixture = draw(mixtures(SURROUNDINGS[1:], named=False))
+    barostat = draw(st.sampled_from(list(BAROSTATS)))
     if is_frozen(mixture) or draw(st.sampled_from([False, False, True])):
         return Undone(mixture, way, barostat, seed, platform, draw(st.integers(1, 300)))
     return Moved(mixture, way, barostat, seed, platform)

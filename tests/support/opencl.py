@@ -28,9 +28,11 @@ for i in range(openmm.Platform.getNumPlatforms()):
 #: Keeps programs that OpenCL has compiled.
 PROGRAMS = Path(__file__).with_name("opencl_programs.c")
 
-#: Variable of options for OpenCL's compiler, which `PROGRAMS` adds, and the one without optimization: it takes half the
-#: time of a Context, and kernels of a few molecules take none.
-OPTIONS, PLAIN = "OPENMM_SIER_OPENCL_OPTIONS", "-cl-opt-disable"
+#: Variable of options for OpenCL's compiler, which `PROGRAMS` adds.
+OPTIONS = "OPENMM_SIER_OPENCL_OPTIONS"
+
+#: The option without optimization, which takes half the time of a Context; kernels of a few molecules take no time.
+PLAIN = "-cl-opt-disable"
 
 
 def environment(optimizes: bool = True) -> dict[str, str]:

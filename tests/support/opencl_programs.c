@@ -5,18 +5,8 @@
  * OpenCL: these return a program that is made from the binary of an earlier one of the same source. They also add options
  * of the environment to those of OpenMM.
  */
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <pthread.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
+#include "../../studies/launches/opencl.h"
 
-/* As in OpenCL's headers, which need not be installed. */
-typedef int32_t cl_int;
-typedef uint32_t cl_uint;
-typedef void *object;
 #define CL_CONTEXT_DEVICES 0x1081
 #define CL_PROGRAM_BINARY_SIZES 0x1165
 #define CL_PROGRAM_BINARIES 0x1166
@@ -37,18 +27,6 @@ static struct program programs[MOST];
 static int next;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 
-/* OpenCL's own function of a name. */
-static void *find(const char *name)
-{
-    void *library = dlopen("libOpenCL.so.1", RTLD_NOW);
-    void *found = library == NULL ? NULL : dlsym(library, name);
-    if (found == NULL) {
-        fprintf(stderr, "libOpenCL.so.1 has no %s\n", name);
-        abort();
-    }
-    return found;
-}
-
 static char *joined(cl_uint number, const char **strings, const size_t *lengths)
 {
     size_t size = 1;
@@ -67,9 +45,9 @@ static char *joined(cl_uint number, const char **strings, const size_t *lengths)
 /* A program from the binary of a source, or NULL. */
 static object from_binary(object context, const char *source, cl_int *error)
 {
-    cl_int (*information)(object, cl_uint, size_t, void *, size_t *) = find("clGetContextInfo");
+    cl_int (*information)(object, cl_uint, size_t, void *, size_t *) = find_opencl("clGetContextInfo");
     object (*create)(object, cl_uint, const object *, const size_t *, const unsigned char **, cl_int *, cl_int *)
-        = find("clCreateProgramWithBinary");
+        = find_opencl("clCreateProgramWithBinary");
     object device, program = NULL;
     cl_int status;
     for (int i = 0; i < MOST && program == NULL; i++)
@@ -84,7 +62,7 @@ static object from_binary(object context, const char *source, cl_int *error)
 object clCreateProgramWithSource(object context, cl_uint number, const char **strings, const size_t *lengths,
                                  cl_int *error)
 {
-    object (*own)(object, cl_uint, const char **, const size_t *, cl_int *) = find("clCreateProgramWithSource");
+    object (*own)(object, cl_uint, const char **, const size_t *, cl_int *) = find_opencl("clCreateProgramWithSource");
     char *source = joined(number, strings, lengths);
     pthread_mutex_lock(&lock);
     object program = from_binary(context, source, error);
@@ -104,7 +82,7 @@ object clCreateProgramWithSource(object context, cl_uint number, const char **st
 /* Keep the binary of a program that was compiled from its source. */
 static void keep(object program, int is_built)
 {
-    cl_int (*information)(object, cl_uint, size_t, void *, size_t *) = find("clGetProgramInfo");
+    cl_int (*information)(object, cl_uint, size_t, void *, size_t *) = find_opencl("clGetProgramInfo");
     for (int i = 0; i < MOST; i++) {
         struct program *each = &programs[i];
         if (each->unfinished != program)
@@ -121,7 +99,7 @@ static void keep(object program, int is_built)
 cl_int clBuildProgram(object program, cl_uint number, const object *devices, const char *options, void *notify,
                       void *data)
 {
-    cl_int (*own)(object, cl_uint, const object *, const char *, void *, void *) = find("clBuildProgram");
+    cl_int (*own)(object, cl_uint, const object *, const char *, void *, void *) = find_opencl("clBuildProgram");
     const char *given = options == NULL ? "" : options, *added = getenv(OPTIONS) == NULL ? "" : getenv(OPTIONS);
     char *both = malloc(strlen(given) + strlen(added) + 2);
     sprintf(both, "%s %s", given, added);
