@@ -1,7 +1,10 @@
 """Draw velocities, satisfy constraints and minimize the energy, as users ask of a Context."""
 
+from __future__ import annotations
+
+import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import openmm
@@ -9,7 +12,9 @@ from openmm import unit
 
 from openmm_sier.engines.snapshot import Snapshot, potential_of
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
-from openmm_sier.system.solver_test import SolverTest
+
+if TYPE_CHECKING:
+    from openmm_sier.engines.protocol import Engine
 
 #: Relative tolerance of constraints, which are solved before a minimization.
 TOLERANCE = 1e-5
@@ -25,14 +30,15 @@ class Actions:
     the user called, and records the change, so that the engine reads the Context again when it is asked for its bodies.
     """
 
-    def __init__(self, context: openmm.Context, solver_test: SolverTest):
+    def __init__(self, context: openmm.Context, engine: Engine):
         """
         Args:
             context: weak proxy of an openmm.Context, which owns its integrator and so this object.
-            solver_test: of its System.
+            engine: its engine, which holds this.
         """
         self._context = context
-        self._solver_test = solver_test
+        self._engine = weakref.proxy(engine)
+        self._solver_test = engine.solver_test
 
     def _positions(self) -> np.ndarray:
         """Return positions, (N, 3), nm; zeros if none were set yet."""
@@ -69,6 +75,7 @@ class Actions:
         """
         now = Snapshot.of(self._context)
         refuse_cut_molecules(self._context.getSystem(), now.positions, now.box)
+        self._engine.forget_history()
         _refuse_hopeless_start(self._context)
         self.solve(by_openmm)
 

@@ -13,6 +13,7 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, Pair
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
+from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.records import Changes
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.trials import Outcome, Trial, make_trial
@@ -36,6 +37,7 @@ class Engine(Verbs):
         super().__init__(context, method, tally)
         #: Bonds that keep molecules together; None in a System without a box, and after a change of bonds.
         self._bonds: Bonds | None = None
+        self._remembers_list = neighbour_list.is_remembered(context)
         system = context.getSystem()
         #: Force groups, by the addresses of Forces in their order. A Context keeps those with which it was made.
         self._force_groups = {int(force.this): force.getForceGroup() for force in system.getForces()}
@@ -62,6 +64,16 @@ class Engine(Verbs):
         if Changes.BONDS in changes:
             self._bonds = None
             self.step_check.forget_vibrations()
+
+    def forget_list(self) -> None:
+        """Let forces no longer depend on where atoms were, see `neighbour_list`."""
+        if self._remembers_list:
+            neighbour_list.forget(self._context)
+
+    def forget_history(self) -> None:
+        """Let forces depend on nothing that a checkpoint lacks, if one was made or loaded since the last step."""
+        if Changes.HISTORY in self.changes:
+            self.forget_list()
 
     def changes_by(self, force: openmm.Force) -> Changes:
         """Return what is changed by other parameters of a Force of the System."""

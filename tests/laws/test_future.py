@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.action_strategies import pasts, several
-from tests.laws.actions import Action, Load, Minimize, Save, Step
+from tests.laws.actions import Action, Load, Save, Step
 from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
-from tests.laws.runs import MINIMIZED_WITH_ANOTHER_LIST, ROUNDING, Run, assert_alike, started
+from tests.laws.runs import ROUNDING, Run, assert_alike, started
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,7 @@ class Restart:
         assert_alike(run.everything(), other.everything(), *self._tolerances(run.method))
 
     def _tolerances(self, method: Method) -> tuple[float, float]:
-        """Return those of positions and velocities: GPU platforms round where they box molecules of a State.
-
-        On the CPU platform steps after a checkpoint have a new list of neighbours, but OpenMM's minimizer has not.
-        """
-        if self.platform == "CPU" and any(isinstance(action, Minimize) for action in self.future):
-            return MINIMIZED_WITH_ANOTHER_LIST
+        """Return those of positions and velocities: GPU platforms round where they box molecules of a State."""
         is_exact = self.platform in HOST_PLATFORMS or self.way == "checkpoint"
         return (0.0, 0.0) if is_exact else ROUNDING[method.engine]
 

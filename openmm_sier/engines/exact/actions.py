@@ -6,7 +6,6 @@ were named.
 
 import math
 import secrets
-import weakref
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property, partial
@@ -36,9 +35,7 @@ class BodyActions(Actions):
     """Leave actions to OpenMM where its solvers satisfy constraints that hold all bodies, and do the others."""
 
     def __init__(self, context: openmm.Context, engine: Engine, forces: BodyForces):
-        super().__init__(context, engine.solver_test)
-        # The engine holds this.
-        self._engine = weakref.proxy(engine)
+        super().__init__(context, engine)
         self._forces = forces
 
     @cached_property
@@ -114,6 +111,7 @@ class BodyActions(Actions):
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         start, groups = engine.state(), self._context.getIntegrator().getIntegrationForceGroups()
+        engine.forget_history()
         forces = partial(self._forces.compute, groups=groups)
         handlers = interrupts.defer()
 

@@ -19,7 +19,6 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import OperatorCall, always, calls
 from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
-from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, step_error
 from openmm_sier.engines.exact.motion import MotionOperators
@@ -63,7 +62,6 @@ class ExactEngine(PointVerbs):
         self._masses = tables.masses(system)
         self._hides_kinetic_energy = self.moving.has_other_moments
         self._reader = AtomReader(self.moving, self.forces, keeps_numbers=holds_doubles(context))
-        self._remembers_list = neighbour_list.is_remembered(context)
         self._published: tuple[BodyState, Clock] | None = None
         #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
         self._calls: list[OperatorCall] = []
@@ -126,7 +124,7 @@ class ExactEngine(PointVerbs):
         self._take_environment(now)
         self.forces.select(self._groups, self.method.fast_groups)
         if self._remembers_list and Changes.HISTORY in self.changes:
-            neighbour_list.forget(self._context)
+            self.forget_list()
             self._forget_forces()
         self._calls = []
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.

@@ -43,10 +43,6 @@ class AtomVerbs(Engine):
     def _check_start(self) -> None:
         """Check atoms that were moved, and satisfy constraints."""
 
-    @abstractmethod
-    def _forget_list(self) -> None:
-        """Let forces no longer depend on where atoms were, see `neighbour_list`."""
-
     # --- the phase point: the atoms as OpenMM has them ---
 
     def save(self) -> RollbackState:
@@ -119,7 +115,7 @@ class AtomVerbs(Engine):
         positions[massive] += shifts[:, owners[massive]].T
         atoms.write_positions(positions)
         self._check_start()
-        self._forget_list()
+        self.forget_list()
 
     def _centres(self, positions: np.ndarray) -> np.ndarray:
         """Return the centres of all that moves, (3, n), nm, at positions of particles, (N, 3), nm."""

@@ -11,7 +11,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
@@ -73,7 +72,6 @@ class NativeEngine(AtomVerbs):
         self._has_force = False
         self._follows_bath = False
         self._atoms = AtomCache(context, is_single=self.precision == "single")
-        self._remembers_list = neighbour_list.is_remembered(context)
         self._checks_positions = refusals.needs_finite_positions(system, context.getPlatform())
         if self.precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
@@ -93,7 +91,7 @@ class NativeEngine(AtomVerbs):
 
     @cached_property
     def actions(self) -> Actions:
-        return Actions(self._context, self.solver_test)
+        return Actions(self._context, self)
 
     # --- changes by users ---
 
@@ -121,8 +119,7 @@ class NativeEngine(AtomVerbs):
             self._potential = None
         if changes & (Changes.ATOMS | Changes.HISTORY):
             self._check_start()
-        if Changes.HISTORY in changes:
-            self._forget_list()
+        self.forget_history()
         if self._potential is not None:
             state = openmm.Context.getState(self._context, parameters=True)
             if Environment.of(state) != self._potential.environment:
@@ -144,10 +141,6 @@ class NativeEngine(AtomVerbs):
             # OpenMM places them at the end of a step, and the first needs forces before that.
             self._context.computeVirtualSites()
         self._atoms.forget()
-
-    def _forget_list(self) -> None:
-        if self._remembers_list:
-            neighbour_list.forget(self._context)
 
     def _set_bath(self) -> None:
         set_bath(self._integrator, self.method.bath)
