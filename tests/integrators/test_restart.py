@@ -224,6 +224,29 @@ def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster
     assert integrator.impl.tally.draws == 3
 
 
+def test_a_state_of_linear_molecules_keeps_their_axes_where_they_are_in_another_box():
+    """GPU platforms bring molecules of a State into the box, which rounds positions.
+
+    Noise is drawn along the axes of a body, of which a linear one has two that its atoms do not show.
+    """
+    system = openmm.System()
+    for mass in (14.0, 1.0):
+        system.addParticle(mass)
+    system.addConstraint(0, 1, 0.1)
+    point = np.array([[0.01, 0.02, 0.03], [0.07, 0.1, 0.03]]), np.array([[0.3, 0.1, 0.2], [0.4, 0.025, -1.0]])
+    one, two = seeded(langevin(SIER2)), seeded(langevin(SIER2))
+    context, other = context_at(system, one, point, steps=3), openmm.Context(system, two, platform())
+    other.setState(full_state(context))
+    shift = 7.3
+    other.setPositions(phase_point(other)[0] + shift)
+    for integrator in (one, two):
+        integrator.step(3)
+    positions, velocities = (np.subtract(*pair) for pair in zip(phase_point(other), phase_point(context), strict=True))
+    # Rounding of 1e-15 nm of positions, and of 1e-14 of angles, beside noise of 0.1 nm/ps.
+    assert np.abs(positions - shift).max() < 1e-13
+    assert np.abs(velocities).max() < 1e-11
+
+
 def test_reinitialization_without_its_state_starts_again(cluster):
     _, system, point = cluster
     integrator = langevin(SIER2)

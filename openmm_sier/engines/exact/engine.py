@@ -138,8 +138,9 @@ class ExactEngine(PointVerbs):
         """
         if change is AtomChange.POSITIONS:
             self.refuse_cut_molecules(now)
-        stored = self._stored.latest(last, is_loaded=Changes.VARIABLES in self.changes)
-        point = self._reader.point(now, stored, last, change)
+        is_loaded = Changes.VARIABLES in self.changes
+        stored = self._stored.latest(last, is_loaded)
+        point = self._reader.point(now, stored, last, change, stored if is_loaded else None)
         if point is not stored:
             self._stored.is_outdated = True
         # Atoms of no body act on the bodies too, and may have been moved.
