@@ -110,6 +110,8 @@ class Law:
         try:
             (holds if seed is None else seeded(seed)(holds))()
         except Exception as error:
+            if not tried:
+                raise
             # Hypothesis tries the smallest case last.
             raise Broken(tried[-1], error) from error
 

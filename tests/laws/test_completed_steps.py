@@ -15,6 +15,7 @@ import pytest
 from hypothesis import reject
 from hypothesis import strategies as st
 
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.law import Law
 from tests.laws.mechanics import centre_of
 from tests.laws.methods import Method, method, methods
@@ -298,8 +299,8 @@ def interruptions(draw: st.DrawFn, platform: str) -> Interruption:
     if event.what not in SIGNALS:
         # OpenMM's own steps are left where an error occurred.
         method = dataclasses.replace(method, engine="exact")
-    if event.what == "nan" and method.kind == "SIERHMCIntegrator":
-        # The trial is rejected, and the run is another one.
+    if event.what == "nan" and (method.kind == "SIERHMCIntegrator" or platform not in HOST_PLATFORMS):
+        # A trial is rejected, and the run is another one. GPU platforms sum forces in fixed point, where NaN is -2^31.
         event = dataclasses.replace(event, what="error")
     return Interruption(mixture, method, event, platform)
 
