@@ -239,12 +239,17 @@ class Series:
         So they do in the few averages of rescaling, where rejections find momenta that last, and in second chances.
         """
         blocks = self._length.blocks
-        if self._method.pressure:
+        method = self._method
+        if method.pressure:
             return 2 * blocks
+        if not method.is_ergodic:
+            # A kinetic energy lasts for so many rows.
+            lasting = math.ceil(1 / (method.rate * method.every))
+            return max(4 if self._length is BRIEF else 16, lasting) * blocks
         if self._length is BRIEF:
             return 4 * blocks
-        lasts = isinstance(self._method, Trials) and (self._method.share > 0.5 or self._method.chances > 1)
-        return 16 * blocks if lasts or self._is_stopped or not self._method.is_ergodic else 4 * blocks
+        lasts = isinstance(method, Trials) and (method.share > 0.5 or method.chances > 1)
+        return 16 * blocks if lasts or self._is_stopped else 4 * blocks
 
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""
