@@ -1,6 +1,7 @@
 """Whether compiled kernels are there, and a System with bodies of all kinds."""
 
 import importlib.util
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -10,14 +11,17 @@ from tests.support import opencl
 
 #: Why tests are skipped without them.
 MISSING = (
-    "the package openmm-sier-kernels and OpenMM's OpenCL platform are not here: pip install ./kernels and "
-    "'openmm-sier[opencl-test]' bring them"
+    "the package openmm-sier-kernels, built with the C headers of OpenCL, and OpenMM's OpenCL platform are not here: "
+    "pip install ./kernels and 'openmm-sier[opencl-test]' bring them"
 )
 
 
 def are_here():
-    """Return whether compiled kernels can be tested."""
-    return importlib.util.find_spec("openmm_sier_kernels") is not None and "OpenCL" in opencl.gpu_platforms()
+    """Return whether compiled kernels can be tested: they may be built for other platforms alone."""
+    package = importlib.util.find_spec("openmm_sier_kernels")
+    folders = () if package is None else package.submodule_search_locations or ()
+    is_built = any(list(Path(folder).glob("*SIERKernelsOpenCL*")) for folder in folders)
+    return is_built and "OpenCL" in opencl.gpu_platforms()
 
 
 def shapes(random):
