@@ -23,6 +23,7 @@ from tests.laws import (
     test_future,
     test_order,
     test_preparing,
+    test_pressures,
     test_readers,
     test_refusals,
     test_requests,
@@ -48,6 +49,7 @@ MODULES = (
     test_volume_moves,
     test_updates,
     test_averages,
+    test_pressures,
     test_readers,
     test_refusals,
 )
