@@ -42,7 +42,7 @@ TRICLINIC = (
 )
 
 SURROUNDINGS = ("vacuum", "cut-off", "PME", "triclinic PME")
-FORMS = ("plain", "switched", "custom", "none")
+FORMS = ("plain", "switched", "custom", "none", "offsets", "inner")
 PREPARATIONS = ("no", "yes", "heavy")
 
 
@@ -81,7 +81,8 @@ class Mixture:
         molecules: of `tests.laws.molecules`.
         seed: of places and velocities.
         surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
-        form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
+        form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce), "none" (no nonbonded forces),
+            "offsets" (charges have a part that a global parameter multiplies) or "inner" (a collective variable).
         remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
         crossing: whether molecules in a box cross its boundary: bonds, angles and torsions take nearest images, at any
@@ -333,7 +334,9 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
             linked += [(first + i, first + j) for i, j in joined]
         force.createExceptionsFromBonds(linked, 0.83, 0.5)
         _set_method(mixture, force)
-        system.addForce(force)
+        if mixture.form == "offsets":
+            _offset_charges(force)
+        system.addForce(_as_variable(force) if mixture.form == "inner" else force)
         if mixture.form == "custom":
             # Slow forces of several groups are a sum less the fast ones.
             custom = _without_dispersion(force)
@@ -355,6 +358,28 @@ def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
     if mixture.form == "switched":
         force.setUseSwitchingFunction(True)
         force.setSwitchingDistance(0.8 * CUTOFF)
+
+
+def _offset_charges(force: openmm.NonbondedForce) -> None:
+    """Let a global parameter, which is 1, multiply a quarter of each charge and of each exception."""
+    force.addGlobalParameter("coupled", 1.0)
+    for i in range(force.getNumParticles()):
+        charge, *rest = force.getParticleParameters(i)
+        force.setParticleParameters(i, 0.75 * charge, *rest)
+        force.addParticleParameterOffset("coupled", i, 0.25 * charge, 0, 0)
+    for k in range(force.getNumExceptions()):
+        i, j, product, sigma, epsilon = force.getExceptionParameters(k)
+        # With an offset an excluded pair, which may be in one place, would be none.
+        if product._value:
+            force.setExceptionParameters(k, i, j, 0.75 * product, sigma, epsilon)
+            force.addExceptionParameterOffset("coupled", k, 0.25 * product, 0, 0)
+
+
+def _as_variable(force: openmm.Force) -> openmm.CustomCVForce:
+    """Return a Force whose energy is that of another one within it."""
+    outer = openmm.CustomCVForce("inner")
+    outer.addCollectiveVariable("inner", force)
+    return outer
 
 
 def _without_dispersion(force: openmm.NonbondedForce) -> openmm.CustomNonbondedForce:

@@ -49,7 +49,7 @@ class Preparing:
     def check(self) -> None:
         built = self.mixture.build()
         self._forces_are_as_before(built)
-        if "PME" in self.mixture.surroundings and self.mixture.form != "none":
+        if "PME" in self.mixture.surroundings and self.mixture.form not in ("none", "inner"):
             self._sums_are_no_worse(built)
         groups_are_as_said(built)
         masses_are_as_said(built)

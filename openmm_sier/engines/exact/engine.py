@@ -139,8 +139,10 @@ class ExactEngine(PointVerbs):
         if change is AtomChange.POSITIONS:
             self.refuse_cut_molecules(now)
         is_loaded = Changes.VARIABLES in self.changes
+        # After a checkpoint is made, what it holds counts as in a restart from it.
+        is_stored = is_loaded or not self._stored.is_outdated
         stored = self._stored.latest(last, is_loaded)
-        point = self._reader.point(now, stored, last, change, stored if is_loaded else None)
+        point = self._reader.point(now, stored, last, change, fits_stored=is_stored)
         if point is not stored:
             self._stored.is_outdated = True
         # Atoms of no body act on the bodies too, and may have been moved.

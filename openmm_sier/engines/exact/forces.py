@@ -97,8 +97,7 @@ class BodyForces:
         self.place(q, A)
         state = openmm.Context.getState(self._context, forces=True, energy=cache is not None, groups=acting)
         if cache is not None:
-            others = self._groups & ~acting
-            cache.energy = potential_of(state) + (self._energy_of(others) if others else 0.0)
+            cache.energy = potential_of(state) + self._energy_of(self._groups & ~acting)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         F, tau = np.empty(q.shape), np.empty(q.shape)
@@ -120,11 +119,15 @@ class BodyForces:
         cache = state.cache
         if cache.energy is None:
             self.place(state.q, state.A)
-            cache.energy = self._energy_of(self._groups)
+            # In the parts of which `compute` makes the sum: a restart, which has no forces yet, has the same bits.
+            slow = self._groups_in_kicks
+            cache.energy = self._energy_of(slow) + self._energy_of(self._groups & ~slow)
         return cache.energy
 
     def _energy_of(self, groups: int) -> float:
-        """Return the potential energy of some groups where the Context is, kJ/mol."""
+        """Return the potential energy of some groups where the Context is, kJ/mol; 0 of none."""
+        if not groups:
+            return 0.0
         return potential_of(openmm.Context.getState(self._context, energy=True, groups=groups))
 
     def _not_finite(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:

@@ -113,7 +113,7 @@ class AtomReader:
         stored: BodyState | None,
         last: BodyState | None,
         change: AtomChange,
-        loaded: BodyState | None = None,
+        fits_stored: bool = False,
     ) -> BodyState:
         """Return the phase point of atoms: a stored one that agrees with them, the last one, or a fit.
 
@@ -122,9 +122,9 @@ class AtomReader:
             stored: phase point that was stored for its atoms; None without one.
             last: the last phase point; None without one.
             change: of the atoms, which is not `NONE`.
-            loaded: `stored` if a State or checkpoint has brought it. Where atoms are its own to rounding, as on GPU
-                platforms, which bring molecules of a State into the box, attitudes are its own: those of linear bodies
-                cannot be seen from the atoms, and noise is drawn along their axes.
+            fits_stored: whether bodies keep the attitudes of `stored` where these fit to rounding. GPU platforms, which
+                bring molecules of a State into the box, round positions. Attitudes of linear bodies cannot be seen from
+                the atoms, and noise is drawn along their axes.
 
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
@@ -133,7 +133,7 @@ class AtomReader:
         if agreed is not None:
             return agreed
         if last is None or change is AtomChange.POSITIONS:
-            q, A = self.fit(now, loaded)
+            q, A = self.fit(now, stored if fits_stored else None)
             last = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
         return with_velocities(self.bodies, last, now)
 
