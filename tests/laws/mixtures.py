@@ -42,7 +42,7 @@ TRICLINIC = (
 )
 
 SURROUNDINGS = ("vacuum", "cut-off", "PME", "triclinic PME")
-FORMS = ("plain", "switched", "custom", "none", "offsets", "inner")
+FORMS = ("plain", "switched", "custom", "none", "offsets", "inner", "dispersion")
 PREPARATIONS = ("no", "yes", "heavy")
 
 
@@ -82,7 +82,8 @@ class Mixture:
         seed: of places and velocities.
         surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
         form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce), "none" (no nonbonded forces),
-            "offsets" (charges have a part that a global parameter multiplies) or "inner" (a collective variable).
+            "offsets" (charges have a part that a global parameter multiplies), "inner" (a collective variable) or
+            "dispersion" (beside PME, sums of it for Lennard-Jones too).
         remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
         crossing: whether molecules in a box cross its boundary: bonds, angles and torsions take nearest images, at any
@@ -351,6 +352,8 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
 def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
     methods = {"vacuum": force.NoCutoff, "cut-off": force.CutoffPeriodic}
     force.setNonbondedMethod(methods.get(mixture.surroundings, force.PME))
+    if mixture.form == "dispersion" and force.getNonbondedMethod() == force.PME:
+        force.setNonbondedMethod(force.LJPME)
     force.setCutoffDistance(CUTOFF)
     force.setExceptionsUsePeriodicBoundaryConditions(mixture.crosses)
     # A conductor, with which forces end at the cut-off.
