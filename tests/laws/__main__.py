@@ -31,6 +31,7 @@ from tests.laws import (
     test_symplectic,
     test_updates,
     test_volume_moves,
+    test_wholes,
 )
 from tests.laws.law import Broken, Law
 from tests.support import kernels, opencl
@@ -50,6 +51,7 @@ MODULES = (
     test_updates,
     test_averages,
     test_pressures,
+    test_wholes,
     test_readers,
     test_refusals,
 )

@@ -1,4 +1,6 @@
-"""What laws read from Systems: energies and forces, and atoms of bodies."""
+"""What laws read from Systems: energies and forces, and atoms of molecules and of bodies."""
+
+from collections.abc import Sequence
 
 import numpy as np
 import openmm
@@ -13,6 +15,15 @@ def evaluated(system: openmm.System, x: np.ndarray, platform: str = "Reference")
     state = plain_context(system, x, platform).getState(energy=True, forces=True)
     forces = state.getForces(asNumpy=True)._value * (masses_of(system) > 0)[:, None]
     return state.getPotentialEnergy()._value, forces
+
+
+def molecules_of(context: openmm.Context, named: Sequence[Sequence[int]]) -> list[list[int]]:
+    """Return the atoms of each molecule; named bodies are parts of one."""
+    found = [set(molecule) for molecule in context.getMolecules()]
+    for body in map(set, named):
+        joined = [molecule for molecule in found if molecule & body]
+        found = [molecule for molecule in found if not molecule & body] + [set().union(*joined)]
+    return [sorted(molecule) for molecule in found]
 
 
 def rigid_atoms(system: openmm.System, bodies: RigidBodies) -> list[list[int]]:

@@ -11,7 +11,7 @@ from hypothesis import reject
 from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.mechanics import allowed_motions, centre_of, constrained_pairs, masses_of, virtual_sites
 from tests.laws.mixtures import box_of
-from tests.laws.readings import rigid_atoms
+from tests.laws.readings import molecules_of, rigid_atoms
 from tests.support.restarts import clock_and_box, full_state
 from tests.support.waters import phase_point, plain_context, platform, properties_of
 
@@ -176,11 +176,7 @@ class Run:
     @cached_property
     def molecules(self):
         """Atoms of each molecule; named bodies are parts of one."""
-        found = [set(molecule) for molecule in self.context.getMolecules()]
-        for body in map(set, self.built.named):
-            joined = [molecule for molecule in found if molecule & body]
-            found = [molecule for molecule in found if not molecule & body] + [set().union(*joined)]
-        return [sorted(molecule) for molecule in found]
+        return molecules_of(self.context, self.built.named)
 
     @property
     def is_periodic(self):
