@@ -74,7 +74,7 @@ class Bonds(NamedTuple):
 
     @classmethod
     def of_system(cls, system: openmm.System) -> Bonds:
-        """Return constraints, harmonic bonds with a strength, and links of virtual sites to their first particles."""
+        """Return constraints, and harmonic bonds with a strength."""
         links = links_of(system)
         pairs, lengths = links.constraints
         constrained = cls.of_pairs(pairs, lengths, lengths + STRETCH)
@@ -82,10 +82,7 @@ class Bonds(NamedTuple):
         lengths = links.lengths[acts]
         longest = lengths + np.sqrt(2 * BREAKING / links.strengths[acts])
         harmonic = cls.of_pairs(links.bonds[acts], lengths, longest, links.periodic[acts])
-        sites = tables.virtual_sites(system).tolist()
-        return cls.merged(
-            constrained, harmonic, cls.of_pairs([(i, system.getVirtualSite(i).getParticle(0)) for i in sites])
-        )
+        return cls.merged(constrained, harmonic)
 
     @classmethod
     def merged(cls, *kinds: Bonds) -> Bonds:
@@ -174,7 +171,9 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
 class Wholeness:
     """Rules by which molecules and bodies of a System are made whole.
 
-    Bonded atoms are next to each other, and atoms of a body that no bonds join at the images nearest to its first atom.
+    Bonded atoms are next to each other. Atoms of a body that no bonds join are at the images nearest to its first atom,
+    and so are the particles that place a virtual site. The site may be far from them, such as one at the centre of a
+    protein; what is near follows its first particle.
 
     Attributes:
         bonds: bonds of the System and of the topology.
@@ -184,6 +183,7 @@ class Wholeness:
     def __init__(self, system: openmm.System, topology: app.Topology | None = None):
         self._topology = topology
         self._particles = system.getNumParticles()
+        self._frames = tables.rigid_sites(system)
         self.bonds = Bonds.of_system(system)
         if topology is not None:
             self.bonds = Bonds.merged(self.bonds, Bonds.of_topology(topology))
@@ -204,8 +204,27 @@ class Wholeness:
             return positions
         # In a body the nearest images of two atoms are not enough.
         bonds = self.bonds._replace(periodic=self.bonds.periodic & (len(clusters) == 0))
-        x = joined_by(bonds, positions, self.box)
-        return _gathered(clusters, joined(len(x), self.bonds.pairs), x, self.box)
+        x, fragment = joined_by(bonds, positions, self.box), joined(self._particles, self.bonds.pairs)
+        frames = [frame for frame in self._frames.values() if len({int(fragment[i]) for i in frame}) > 1]
+        return self._with_sites(_gathered([*clusters, *frames], fragment, x, self.box))
+
+    def _with_sites(self, positions: np.ndarray) -> np.ndarray:
+        """Return positions (N, 3), nm, at which virtual sites that were cut off are near their first particles."""
+        sites = np.fromiter(self._frames, dtype=np.int64, count=len(self._frames))
+        first = np.array([self._first(site) for site in sites.tolist()], dtype=np.int64)
+        arms = positions[sites] - positions[first]
+        shifts = wrapped(arms, self.box, np.round) - arms
+        cut = (np.linalg.norm(arms, axis=1) > LONGEST_BOND) & shifts.any(axis=1)
+        if not cut.any():
+            return positions
+        x = positions.copy()
+        x[sites[cut]] += shifts[cut]
+        return x
+
+    def _first(self, site: int) -> int:
+        """Return the first particle of a virtual site; of one that other sites place, that of the first of these."""
+        first = self._frames[site][0]
+        return self._first(first) if first in self._frames else first
 
     def refuse_cut(self, positions: np.ndarray, kinds: Sequence[np.ndarray], describe: Callable[[Any], str]) -> None:
         """Refuse positions at which a body is not whole, since they would become its shape.
@@ -274,9 +293,9 @@ def _gathered(
                 x[members[number]] += shift
         if shifts.any() and np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
             raise RigidityError(
-                f"the body of atoms {as_ranges(atoms)} is longer than half the box, and no bonds join its atoms, so "
-                "that nobody knows whether the periodic boundary cuts it: join them by a HarmonicBondForce with a "
-                "strength above 0, which does no work in a rigid body"
+                f"the atoms {as_ranges(atoms)} of a body or a virtual site are further apart than half the box, and no "
+                "bonds join them, so that nobody knows whether the periodic boundary cuts it: join them by a "
+                "HarmonicBondForce with a strength above 0, which does no work in a rigid body"
             )
         # Bodies that share a fragment move together from here on.
         together = np.concatenate([members.pop(number) for number in numbers.tolist()])
@@ -320,18 +339,16 @@ def refuse_cut_molecules(system: openmm.System, positions: np.ndarray, box: Any,
     if not system.usesPeriodicBoundaryConditions():
         return
     bonds = Bonds.of_system(system) if bonds is None else bonds
-    # Virtual sites have no lengths; OpenMM places them.
-    pulling = bonds.selected(~np.isnan(bonds.lengths))
-    lengths = pulling.measured(positions, np.array(box))
-    long = np.flatnonzero(lengths > pulling.longest)
-    arms = positions[pulling.pairs[long, 1]] - positions[pulling.pairs[long, 0]]
-    cut = long[np.linalg.norm(wrapped(arms, np.array(box), np.round), axis=1) <= pulling.longest[long]]
+    lengths = bonds.measured(positions, np.array(box))
+    long = np.flatnonzero(lengths > bonds.longest)
+    arms = positions[bonds.pairs[long, 1]] - positions[bonds.pairs[long, 0]]
+    cut = long[np.linalg.norm(wrapped(arms, np.array(box), np.round), axis=1) <= bonds.longest[long]]
     if not cut.size:
         return
     worst = cut[np.argmax(lengths[cut])]
-    one, other = pulling.pairs[worst].tolist()
+    one, other = bonds.pairs[worst].tolist()
     count = f" ({len(cut)} bonds or constraints are cut)" if len(cut) > 1 else ""
     raise RigidityError(
-        f"atoms {one} and {other} belong {pulling.lengths[worst]:.4f} nm apart, but are {lengths[worst]:.4g} nm apart: "
+        f"atoms {one} and {other} belong {bonds.lengths[worst]:.4f} nm apart, but are {lengths[worst]:.4g} nm apart: "
         f"the periodic boundary cuts their molecule{count}. {MAKE_WHOLE}"
     )

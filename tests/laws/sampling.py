@@ -159,8 +159,8 @@ class Series:
             kept = math.exp(-self._method.rate * self._method.every)
             result["K kept"] = Exact(2 / freedoms * kept)
             probability = _reversed(kept, freedoms)
-            # Of rarer reversals there may be none, which gives no error either.
-            if probability > 0.01:
+            # Of fewer reversals there may be none, with a probability of 1e-11, which gives no error either.
+            if probability * self._first_rows() > 25:
                 result["reversed"] = Exact(probability)
         if self._method.pressure:
             molecules = assembly.molecules

@@ -76,6 +76,26 @@ def test_a_molecule_longer_than_half_the_box_keeps_its_shape():
     np.testing.assert_allclose(make_whole(system, wrapped(whole, 1.2 * np.eye(3))), whole, atol=1e-12)
 
 
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_virtual_site_may_be_far_from_the_atoms_that_place_it(cut):
+    """Such as the centre of a protein, to which a restraint is tied: here 0.68 nm from both ends of a chain."""
+    bonds, pair = openmm.HarmonicBondForce(), openmm.CustomNonbondedForce("0")
+    pair.setNonbondedMethod(pair.CutoffPeriodic)
+    for _ in range(11):
+        pair.addParticle()
+    for i in range(9):
+        bonds.addBond(i, i + 1, 0.15, 2e5)
+    system = assembled([*10 * [12.0], 0.0], bonds, pair)
+    system.setVirtualSite(10, openmm.TwoParticleAverageSite(0, 9, 0.5, 0.5))
+    box = 3 * np.eye(3)
+    system.setDefaultPeriodicBoxVectors(*box)
+    whole = np.outer([*np.arange(10), 4.5], [0.15, 0, 0])
+    given = wrapped(whole + np.array([2.2, 0, 0]), box) if cut else whole
+    found = make_whole(system, given)
+    np.testing.assert_allclose(found - found[0], whole, atol=1e-12)
+    assert cut or np.array_equal(found, whole)
+
+
 def water(k=4.6e5, periodic=False):
     """Two flexible waters in a box of 3 nm, and a restraint between their oxygens of k kJ/mol/nm^2."""
     bonds, restraint = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
