@@ -206,14 +206,14 @@ class Wholeness:
         bonds = self.bonds._replace(periodic=self.bonds.periodic & (len(clusters) == 0))
         x, fragment = joined_by(bonds, positions, self.box), joined(self._particles, self.bonds.pairs)
         frames = [frame for frame in self._frames.values() if len({int(fragment[i]) for i in frame}) > 1]
-        return self._with_sites(_gathered([*clusters, *frames], fragment, x, self.box))
+        return self._with_sites(_gathered([*clusters, *frames], fragment, x, self.box), self.box)
 
-    def _with_sites(self, positions: np.ndarray) -> np.ndarray:
+    def _with_sites(self, positions: np.ndarray, box: np.ndarray) -> np.ndarray:
         """Return positions (N, 3), nm, at which virtual sites that were cut off are near their first particles."""
         sites = np.fromiter(self._frames, dtype=np.int64, count=len(self._frames))
         first = np.array([self._first(site) for site in sites.tolist()], dtype=np.int64)
         arms = positions[sites] - positions[first]
-        shifts = wrapped(arms, self.box, np.round) - arms
+        shifts = wrapped(arms, box, np.round) - arms
         cut = (np.linalg.norm(arms, axis=1) > LONGEST_BOND) & shifts.any(axis=1)
         if not cut.any():
             return positions
