@@ -20,6 +20,7 @@ from tests.laws import (
     test_completed_steps,
     test_damping,
     test_energies,
+    test_force_checks,
     test_future,
     test_order,
     test_preparing,
@@ -52,6 +53,7 @@ MODULES = (
     test_averages,
     test_pressures,
     test_wholes,
+    test_force_checks,
     test_readers,
     test_refusals,
 )
