@@ -111,7 +111,6 @@ class BodyActions(Actions):
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         start, groups = engine.state(), self._context.getIntegrator().getIntegrationForceGroups()
-        engine.forget_history()
         forces = partial(self._forces.compute, groups=groups)
         handlers = interrupts.defer()
 
