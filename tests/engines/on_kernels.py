@@ -94,6 +94,23 @@ def test_fast_forces_and_constraints_of_one_atom():
         assert abs(bond @ speed) < 1e-12
 
 
+def test_velocities_along_constraints_are_taken_away_beside_named_bodies():
+    """OpenMM's own method would take away what belongs to the body too."""
+    system = assembled([16.0, 1.0, 1.0, 14.0, 16.0])
+    for hydrogen in (1, 2):
+        system.addConstraint(0, hydrogen, 0.1)
+    positions = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [1, 0, 0], [1.1, 0, 0]])
+    bodies = RigidBodies.from_system(system, None, [[3, 4]], positions)
+    integrator = SIERIntegrator(0.001, SIER2, bodies=bodies, engine="kernels")
+    context = context_on(system, integrator, (positions, np.random.default_rng(1).normal(size=(5, 3))), "double")
+    context.applyVelocityConstraints(1e-9)
+    velocities = phase_point(context)[1]
+    assert abs(velocities[1, 0] - velocities[0, 0]) < 1e-12
+    assert abs(velocities[2, 1] - velocities[0, 1]) < 1e-12
+    assert abs(velocities[4, 0] - velocities[3, 0]) < 1e-12
+    assert np.abs(velocities).max() > 0.1
+
+
 def test_a_context_that_is_made_again_follows_its_system_as_it_is_then():
     """A barostat that was added; at 10^5 bar every move to a smaller box is accepted.
 

@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import BodyType, Preparation, RigidBodies, prepare_system
@@ -335,6 +336,8 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
             linked += [(first + i, first + j) for i, j in joined]
         force.createExceptionsFromBonds(linked, 0.83, 0.5)
         _set_method(mixture, force)
+        if mixture.form == "dispersion" and pdist(x).min(initial=1.0) > 0:
+            _sum_dispersion(force)
         if mixture.form == "offsets":
             _offset_charges(force)
         system.addForce(_as_variable(force) if mixture.form == "inner" else force)
@@ -352,8 +355,6 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
 def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
     methods = {"vacuum": force.NoCutoff, "cut-off": force.CutoffPeriodic}
     force.setNonbondedMethod(methods.get(mixture.surroundings, force.PME))
-    if mixture.form == "dispersion" and force.getNonbondedMethod() == force.PME:
-        force.setNonbondedMethod(force.LJPME)
     force.setCutoffDistance(CUTOFF)
     force.setExceptionsUsePeriodicBoundaryConditions(mixture.crosses)
     # A conductor, with which forces end at the cut-off.
@@ -361,6 +362,12 @@ def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
     if mixture.form == "switched":
         force.setUseSwitchingFunction(True)
         force.setSwitchingDistance(0.8 * CUTOFF)
+
+
+def _sum_dispersion(force: openmm.NonbondedForce) -> None:
+    """Let PME sum Lennard-Jones terms too. OpenMM's energy is not a number then if particles are in one place."""
+    if force.getNonbondedMethod() == force.PME:
+        force.setNonbondedMethod(force.LJPME)
 
 
 def _offset_charges(force: openmm.NonbondedForce) -> None:

@@ -82,7 +82,7 @@ class ReportedBodies:
 
 
 def _state(bodies: BodySet, now: Snapshot) -> BodyState:
-    """Return the phase point of bodies at the atoms of a snapshot."""
+    """Return the phase point of bodies at the atoms of a snapshot, without momenta along constraints between them."""
     q, A = bodies.fit(now.positions)
     p, L = bodies.momenta(now.velocities, A)
-    return BodyState(q, p, A, L)
+    return BodyState(q, bodies.constraints.project(q, p), A, L)
