@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import openmm
 from openmm import app, unit
 
 from openmm_sier.inputs.file_kinds import file_kind
@@ -42,6 +43,9 @@ WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
 
 #: Length in nm above which a bond between two residues spans a gap; the longest bonds, of sulfur, have 0.21 nm.
 LONGEST_BOND = 0.3
+
+#: Minimum length in nm of bonds that PDBFixer has not placed well; those of sulfur have 0.18.
+STRETCHED = 0.25
 
 
 class Completed(NamedTuple):
@@ -232,21 +236,29 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
 
 def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
     """Add heavy atoms, including those of missing residues, and return the change."""
-    before = fixer.topology.getNumAtoms()
+    topology, positions = fixer.topology, fixer.positions
     fixer.findMissingAtoms()
     fixer.addMissingAtoms(seed)
-    added = fixer.topology.getNumAtoms() - before
+    if any(length > STRETCHED for _, _, length in _bonds(fixer.topology, fixer.positions)):
+        # In single precision its minimization may end where atoms overlap, by the processor and the number of threads.
+        fixer.topology, fixer.positions = topology, positions
+        fixer.platform = openmm.Platform.getPlatformByName("Reference")
+        fixer.addMissingAtoms(seed)
+    added = fixer.topology.getNumAtoms() - topology.getNumAtoms()
     return [("heavy atoms added", str(added))] if added else []
+
+
+def _bonds(topology: app.Topology, positions: unit.Quantity) -> Iterator[tuple[Any, Any, float]]:
+    """Yield the atoms of each bond, and its length, nm."""
+    places = np.array(positions.value_in_unit(unit.nanometer))
+    for one, two in topology.bonds():
+        yield one, two, float(np.linalg.norm(places[one.index] - places[two.index]))
 
 
 def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quantity) -> None:
     """Refuse bonds across a gap in a chain, by which OpenMM joins the residues on either side."""
-    places = np.array(positions.value_in_unit(unit.nanometer))
-    for one, two in topology.bonds():
-        if one.residue is two.residue:
-            continue
-        length = float(np.linalg.norm(places[one.index] - places[two.index]))
-        if length > LONGEST_BOND:
+    for one, two, length in _bonds(topology, positions):
+        if one.residue is not two.residue and length > LONGEST_BOND:
             raise ForceFieldError(
                 f"{path}: the chain has a gap of {length:.2g} nm between {_named(one.residue)} and "
                 f"{_named(two.residue)}, and the file has no sequence that fits the chain and tells which residues are "
