@@ -33,6 +33,9 @@ from tests.support.waters import phase_point, plain_context
 #: nm: between molecules at least; radius of the cut-off.
 GAP, CUTOFF = 0.25, 0.7
 
+#: nm: particles that are nearer are in one place, to rounding.
+ONE_PLACE = 1e-6
+
 #: K, and dalton: of velocities and of the hydrogens of "heavy".
 TEMPERATURE, HEAVY = 300.0, 4.0
 
@@ -336,7 +339,7 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
             linked += [(first + i, first + j) for i, j in joined]
         force.createExceptionsFromBonds(linked, 0.83, 0.5)
         _set_method(mixture, force)
-        if mixture.form == "dispersion" and pdist(x).min(initial=1.0) > 0:
+        if mixture.form == "dispersion" and pdist(x).min(initial=GAP) > ONE_PLACE:
             _sum_dispersion(force)
         if mixture.form == "offsets":
             _offset_charges(force)
