@@ -70,10 +70,16 @@ class Engine(Verbs):
         if self._remembers_list:
             neighbour_list.forget(self._context)
 
-    def forget_history(self) -> None:
-        """Let forces depend on nothing that a checkpoint lacks, if one was made or loaded since the last step."""
-        if Changes.HISTORY in self.changes:
-            self.forget_list()
+    def forget_history(self) -> bool:
+        """Let forces depend on nothing that a checkpoint lacks, if one was made or loaded since the last step.
+
+        Returns:
+            Whether a force that is known may have other last bits than one of now.
+        """
+        if Changes.HISTORY not in self.changes:
+            return False
+        self.forget_list()
+        return self._remembers_list
 
     def changes_by(self, force: openmm.Force) -> Changes:
         """Return what is changed by other parameters of a Force of the System."""

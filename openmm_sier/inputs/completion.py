@@ -44,7 +44,7 @@ WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
 #: Length in nm above which a bond between two residues spans a gap; the longest bonds, of sulfur, have 0.21 nm.
 LONGEST_BOND = 0.3
 
-#: Minimum length in nm of bonds that PDBFixer has not placed well; those of sulfur have 0.18.
+#: Length in nm above which PDBFixer has not placed the atoms of a bond well.
 STRETCHED = 0.25
 
 
@@ -240,7 +240,8 @@ def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
     fixer.findMissingAtoms()
     fixer.addMissingAtoms(seed)
     if any(length > STRETCHED for _, _, length in _bonds(fixer.topology, fixer.positions)):
-        # In single precision its minimization may end where atoms overlap, by the processor and the number of threads.
+        # Its minimization may end where atoms overlap. On which platform, processor and threads is chance; in double
+        # precision it has not been seen.
         fixer.topology, fixer.positions = topology, positions
         fixer.platform = openmm.Platform.getPlatformByName("Reference")
         fixer.addMissingAtoms(seed)

@@ -171,9 +171,9 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
 class Wholeness:
     """Rules by which molecules and bodies of a System are made whole.
 
-    Bonded atoms are next to each other. Atoms of a body that no bonds join are at the images nearest to its first atom,
-    and so are the particles that place a virtual site. The site may be far from them, such as one at the centre of a
-    protein; what is near follows its first particle.
+    Bonded atoms are next to each other. Atoms of a body that no bonds join are at the images nearest to its first atom;
+    so are the particles that place a virtual site. The site itself may be far from them, such as one at the centre of a
+    protein. It comes to the image nearest to its first particle, unless it is near that already.
 
     Attributes:
         bonds: bonds of the System and of the topology.
@@ -198,7 +198,8 @@ class Wholeness:
             clusters: particle indices of each body.
 
         Raises:
-            RigidityError: a body that no bonds join is longer than half the box, and not whole about its first atom.
+            RigidityError: a body that no bonds join, or the particles that place a virtual site, extend over more than
+                half the box, and are not whole about the first of them.
         """
         if self.box is None:
             return positions
@@ -209,7 +210,7 @@ class Wholeness:
         return self._with_sites(_gathered([*clusters, *frames], fragment, x, self.box), self.box)
 
     def _with_sites(self, positions: np.ndarray, box: np.ndarray) -> np.ndarray:
-        """Return positions (N, 3), nm, at which virtual sites that were cut off are near their first particles."""
+        """Return positions (N, 3), nm, with virtual sites at the images nearest to their first particles."""
         sites = np.fromiter(self._frames, dtype=np.int64, count=len(self._frames))
         first = np.array([self._first(site) for site in sites.tolist()], dtype=np.int64)
         arms = positions[sites] - positions[first]
@@ -294,7 +295,7 @@ def _gathered(
         if shifts.any() and np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
             raise RigidityError(
                 f"the atoms {as_ranges(atoms)} of a body or a virtual site are further apart than half the box, and no "
-                "bonds join them, so that nobody knows whether the periodic boundary cuts it: join them by a "
+                "bonds join them, so that nobody knows whether the periodic boundary is between them: join them by a "
                 "HarmonicBondForce with a strength above 0, which does no work in a rigid body"
             )
         # Bodies that share a fragment move together from here on.

@@ -28,7 +28,7 @@ def make_whole(
 
     If a bond or constraint is far too long, box vectors bring its atoms next to each other, together with the atoms
     bonded to them. Whole molecules keep their positions bit for bit. Atoms of a body that no bonds join are brought to
-    the images nearest to its first atom.
+    the images nearest to its first atom, and so are the particles that place a virtual site.
 
     Args:
         system: the System, with the periodic box, if any, as its default.
@@ -43,8 +43,9 @@ def make_whole(
     Raises:
         ValueError: a bond is broken even between the nearest images of its atoms: its energy exceeds 1000 kJ/mol, a
             constraint is 0.1 nm too long, or a bond known only from the topology is longer than 0.4 nm. The message
-            names the longest. Or a body that no bonds join is longer than half the box and
-            not whole about its first atom; or `bodies` are refused, see `RigidBodies.from_system`.
+            names the longest. Or a body that no bonds join, or the particles that place a virtual site, extend over
+            more than half the box and are not whole about the first of them; or `bodies` are refused, see
+            `RigidBodies.from_system`.
     """
     x = checked_positions(positions, checked_system(system).getNumParticles())
     wholeness = Wholeness(system, topology)

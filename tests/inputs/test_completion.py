@@ -9,13 +9,13 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
+from openmm_sier.inputs.completion import FILES, STRETCHED, as_pdb, complete, solvate
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors
 from tests.support.incomplete_structures import FIRST, LAST, kept, villin, write_incomplete
 from tests.support.matrices import representatives
 
-pytest.importorskip("pdbfixer")
+PDBFixer = pytest.importorskip("pdbfixer").PDBFixer
 
 #: A sulfate far from the chain.
 SULFATE = [
@@ -68,6 +68,25 @@ def test_ends_are_added_where_they_are_asked_for(structure):
     longer = complete(structure, ends=True)
     assert longer.topology.getNumResidues() == 36
     assert ("residues added", "26 after VAL A 50") in longer.changes
+
+
+def test_atoms_that_were_placed_badly_are_placed_again(structure, whole, monkeypatch):
+    """PDBFixer may leave torn bonds, by the processor and the number of threads; in double precision it does not."""
+    add, platforms = PDBFixer.addMissingAtoms, []
+
+    def torn_at_first(fixer, seed):
+        add(fixer, seed)
+        platforms.append(fixer.platform and fixer.platform.getName())
+        if len(platforms) == 1:
+            fixer.positions[-1] += openmm.Vec3(1, 0, 0) * unit.nanometer
+
+    monkeypatch.setattr(PDBFixer, "addMissingAtoms", torn_at_first)
+    completed = complete(structure)
+    assert platforms == [None, "Reference"]
+    assert completed.changes == whole.changes
+    places = completed.positions.value_in_unit(unit.nanometer)
+    lengths = [unit.norm(places[one.index] - places[two.index]) for one, two in completed.topology.bonds()]
+    assert max(lengths) < STRETCHED
 
 
 @pytest.mark.parametrize("shape", representatives(["cube", "dodecahedron"], "dodecahedron"))

@@ -13,7 +13,7 @@ from scipy.special import gammaincinv
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.mechanics import centre_of
-from tests.laws.runs import update_shares
+from tests.laws.runs import SINGLE_ENERGY, update_shares
 from tests.support.faults import lines_run
 
 #: Chance of a kinetic energy outside of the bounds for a temperature, on either side: that of 6.1 standard errors.
@@ -34,10 +34,6 @@ FEW, STEEP = 10, 100.0
 
 #: nm: 1e-5 of the length of a constraint.
 SLIP = 2e-6
-
-#: Of energies, relative and in kJ/mol: on the CPU platform they are sums in single precision, of terms of up to 1e3
-#: kJ/mol, such as the self energy of charges.
-ROUNDING_OF_ENERGY = {"CPU": 1e-4}
 
 
 class Action:
@@ -248,7 +244,7 @@ class Minimize(Action):
         assert after.steps == before.steps
         assert np.array_equal(after.box, before.box)
         energy = run.potential_energy()
-        rounding = ROUNDING_OF_ENERGY.get(run.name, 1e-6) * (1 + abs(energy)) + run.slip
+        rounding = (SINGLE_ENERGY if run.name == "CPU" else 1e-6) * (1 + abs(energy)) + run.slip
         assert energy <= run.energy_before + rounding, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
         if self.iterations > FEW and run.slope_before > STEEP:
             assert energy < run.energy_before - rounding, f"the energy stays at {energy} kJ/mol"

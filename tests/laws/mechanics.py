@@ -71,6 +71,15 @@ def centre_of(masses: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return masses @ vectors / masses.sum()
 
 
+def with_centres(masses: np.ndarray, x: np.ndarray, molecules: list[list[int]], stretch: np.ndarray) -> np.ndarray:
+    """Return positions (N, 3), nm, of molecules whose centres of mass a matrix (3, 3) has moved, and nothing else."""
+    moved = x.copy()
+    for atoms in molecules:
+        centre = centre_of(masses[atoms], x[atoms])
+        moved[atoms] += centre @ stretch - centre
+    return moved
+
+
 def inertia(masses: np.ndarray, arms: np.ndarray) -> np.ndarray:
     """Return the tensor of inertia (3, 3) of masses (k,) at places (k, 3) from their centre, dalton nm^2."""
     return np.diag(np.full(3, masses @ (arms**2).sum(axis=1))) - (masses[:, None] * arms).T @ arms

@@ -34,6 +34,10 @@ WITH_ANOTHER_LIST = (1e-8, 1e-5)
 #: Such a minimization ends up to some steps of its line search elsewhere.
 MINIMIZED_WITH_ANOTHER_LIST = (1e-6, 1e-3)
 
+#: Rounding of energies on the CPU platform, kJ/mol, and relative to them where they are larger than 1: sums in single
+#: precision, of terms of up to 1e3 kJ/mol, such as the self energy of charges.
+SINGLE_ENERGY = 1e-4
+
 #: Factor on the edges of boxes.
 ROOM = 1.1
 

@@ -1,4 +1,4 @@
-"""Checks of forces: `check_forces` finds the Force that is not the gradient of its energy, and doubts no other one."""
+"""Checks of forces: `check_forces` finds the Force that is not the gradient of its energy, and blames no other one."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ForceChecks:
 
 
 def cases(platform: str) -> st.SearchStrategy[ForceChecks]:
-    """Draw a mixture of which something moves."""
+    """Draw a mixture without frozen atoms, on which forces are not compared."""
     moving = mixtures(SURROUNDINGS).filter(lambda each: not is_frozen(each))
     return st.builds(ForceChecks, moving, st.sampled_from(list(FORCES)), st.just(platform))
 

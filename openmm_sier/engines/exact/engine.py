@@ -123,8 +123,7 @@ class ExactEngine(PointVerbs):
             self.forces.take_positions(now)
         self._take_environment(now)
         self.forces.select(self._groups, self.method.fast_groups)
-        if self._remembers_list and Changes.HISTORY in self.changes:
-            self.forget_list()
+        if self.forget_history():
             self._forget_forces()
         self._calls = []
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.

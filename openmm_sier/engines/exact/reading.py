@@ -113,7 +113,7 @@ class AtomReader:
         stored: BodyState | None,
         last: BodyState | None,
         change: AtomChange,
-        fits_stored: bool = False,
+        fits_stored: bool,
     ) -> BodyState:
         """Return the phase point of atoms: a stored one that agrees with them, the last one, or a fit.
 
